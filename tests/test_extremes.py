@@ -16,7 +16,6 @@ from hypothesis import given, strategies as st
 import rvjax
 from oracles import cam_roller
 from rvjax import CamRollerErrors, LinkDeviations, RVErrors, Status, catalogue, four_bar, lost_motion
-from rvjax._jax.elementary import LARGEST_ANGLE
 
 KEPT = (Status.CONVERGED, Status.UNLOADED, Status.CHANGE_POINT, Status.SINGULAR)
 
@@ -50,7 +49,7 @@ def test_figures_of_a_turn_beyond_a_right_angle(dtype):
     bore = (size[:, None, None] * rng.uniform(-1, 1, (300, 2, 2))).astype(dtype)
     bore[..., 0] *= 0.1
     torque = (rng.choice([-400.0, 0.0, 400.0], 300)).astype(dtype)
-    (most, found), slope = turn(7, dtype)(bore, torque)
+    (most, found), slope = turn(3, dtype)(bore, torque)
     status = np.asarray(found.info.status)
     finite_as_promised([most, found.minimum, found.largest_misfit], status)
     good = status == Status.CONVERGED
@@ -61,7 +60,7 @@ def test_figures_of_a_turn_beyond_a_right_angle(dtype):
     np.testing.assert_allclose(np.asarray(found.minimum)[good], curve.min(1), tolerance, 1e-3 * tolerance)
     assert np.isfinite(slope).all()
     # beside other units a unit is what it was
-    (again, _), _ = turn(7, dtype)(np.roll(bore, 17, 0), np.roll(torque, 17))
+    (again, _), _ = turn(3, dtype)(np.roll(bore, 17, 0), np.roll(torque, 17))
     np.testing.assert_allclose(np.roll(again, -17), most, 1e-5 if dtype == np.float32 else 1e-12)
 
 
@@ -112,15 +111,6 @@ def test_linkages_too_large_for_the_arithmetic(dtype, cranks, closure):
     assert np.isfinite(slope).all()
 
 
-def test_phases_beyond_the_trigonometry_are_named():
-    def status(phase):
-        errors = RVErrors(crank_phase=jnp.stack([phase, jnp.zeros_like(phase)]))
-        return four_bar.transmission_error(catalogue.RV_40E, errors, crank_angle=0.3).info.status
-
-    found = jax.jit(jax.vmap(status))(jnp.array([0.99 * LARGEST_ANGLE, -2 * LARGEST_ANGLE, 1e30]))
-    np.testing.assert_array_equal(found, [Status.CONVERGED, Status.NONFINITE, Status.NONFINITE])
-
-
 @pytest.mark.parametrize("profile", ["first_order", pytest.param("contact", marks=pytest.mark.long)])
 def test_lost_motion_too_large_or_too_small(profile):
     """Terms that overflow and a search without end: a status, NaN, finite derivatives."""
@@ -156,7 +146,7 @@ def stage(teeth, contact):
     return jax.jit(jax.vmap(jax.value_and_grad(solve, has_aux=True)))
 
 
-def units(count, teeth=3, **changes):
+def units(count, teeth=2, **changes):
     case = dict(e=2e-3, r=8e-3, E=2e11, cam=0.135, length=0.012, cam_error=0.0, throw_error=0.0, torque=50.0, angle=0.3)
     case = {name: np.full(count, value) for name, value in case.items()}
     return case | {"radius_error": np.zeros((count, teeth + 1))} | changes
@@ -171,7 +161,7 @@ def test_rollers_too_large_for_the_arithmetic(contact):
     case["e"][:6] = [2e-3, 2e-3, 2e-3, 1e-250, 2e-3, 2e-3]
     case["E"][:6] = [2e11, 2e11, 2e11, 2e11, 1e-300, 2e11]
     case["cam_error"][:6] = [0, 0, 0, 0, 0, -1e300]
-    (_, found), slope = stage(3, contact)(case)
+    (_, found), slope = stage(2, contact)(case)
     finite_as_promised([found.cam, found.cage, found.gear, found.windup], found.info.status)
     crushed = Status.CONTACT_OVERLOAD if contact == "hertz" else Status.NONFINITE
     expected = [0, crushed, crushed, Status.NONFINITE, crushed, Status.NONFINITE, *[0] * (LANES - 6)]
@@ -186,7 +176,7 @@ def test_a_cam_lost_in_the_rounding_of_the_link():
     case["cam"][:4] = [0.135, 1e-30, 0.135, 0.135]
     case["length"][:4] = [0.012, 0.012, 1e-300, 0.012]
     case["torque"][:4] = [1e-9, 1e-9, 0, 1e-300]
-    (_, found), slope = stage(3, "hertz")(case)
+    (_, found), slope = stage(2, "hertz")(case)
     np.testing.assert_array_equal(found.info.status[:5], [0, *[Status.NONFINITE] * 3, 0])
     assert all(np.isfinite(leaf).all() for leaf in slope.values())
 
@@ -275,10 +265,10 @@ def test_rollers_are_in_equilibrium(drawn):
     seed, decade = drawn
     rng = np.random.default_rng(seed)
     case = units(LANES, torque=rng.choice([-1, 0, 1], LANES) * 10 ** rng.uniform(-9, 6, LANES))
-    case["radius_error"] = 8e-3 * 10**decade * rng.uniform(-1, 1, (LANES, 4))
+    case["radius_error"] = 8e-3 * 10**decade * rng.uniform(-1, 1, (LANES, 3))
     case["angle"] = rng.choice([0, np.pi / 12, 1], LANES) * rng.uniform(-7, 7, LANES)
     case["e"] = rng.uniform(1e-5, 0.05, LANES)
-    (_, found), slope = stage(3, "hertz")(case)
+    (_, found), slope = stage(2, "hertz")(case)
     status = np.asarray(found.info.status)
     finite_as_promised([found.cam, found.cage, found.gear, found.windup], status)
     assert (status != Status.MAX_STEPS).all()
@@ -286,9 +276,9 @@ def test_rollers_are_in_equilibrium(drawn):
     good = np.isin(status, (Status.CONVERGED, Status.UNLOADED))
     assert (np.asarray(found.info.residual)[good] <= 1e-10).all()
     assert (np.asarray(found.cam)[good] >= 0).all() and (np.asarray(found.gear)[good] >= 0).all()
-    psi = 3 * case["angle"][:, None] - 2 * np.pi * np.arange(4) / 4
+    psi = 2 * case["angle"][:, None] - 2 * np.pi * np.arange(3) / 3
     ray = case["e"][:, None] * np.cos(psi) + np.sqrt(0.143**2 - (case["e"][:, None] * np.sin(psi)) ** 2)
     moments = ray * np.asarray(found.cage)
-    size = np.maximum(np.abs(moments).sum(1), 4 * np.abs(case["torque"])) + 1e-300
-    miss = np.abs(moments.sum(1) - 4 * 0.55 * case["torque"]) / size
+    size = np.maximum(np.abs(moments).sum(1), 3 * np.abs(case["torque"])) + 1e-300
+    miss = np.abs(moments.sum(1) - 3 * 0.55 * case["torque"]) / size
     assert (miss[good] < 1e-9).all()

@@ -13,6 +13,7 @@ import pytest
 import rvjax
 from oracles import cam_roller
 from rvjax import LinkDeviations, RVErrors, Status, catalogue, four_bar, lost_motion, roots
+from rvjax._jax.elementary import LARGEST_ANGLE
 from rvjax.designs import CrankStage
 from rvjax.lost_motion.flank import Flank, free_rotation
 from rvjax.mesh_force import laws
@@ -50,20 +51,44 @@ def test_rounding_at_a_root_does_not_lead_to_another_root():
     assert np.abs(found.value).max() < 4e-16
 
 
+@jax.jit
+@jax.vmap
+def geared(case):
+    """A linkage of geared cranks with the slopes of its angle, 0 where it has none."""
+
+    def closed(case):
+        names = ("crank_3", "joint", "frame_angle")
+        deviations = LinkDeviations(**{name: case[name] for name in names})
+        found = four_bar.solve_closure(
+            case["eccentricity"],
+            case["spacing"],
+            deviations,
+            crank_angle=case["angle"],
+            cranks="geared",
+            gear_stiffness_ratio=case["ratio"],
+        )
+        return jnp.where(found.info.status == Status.CONVERGED, found.coupler_angle, 0), found
+
+    return jax.value_and_grad(closed, has_aux=True)(case)
+
+
+def geared_cranks(**numbers):
+    """Cases of columns, (400,), and their slopes; a number holds for all of them."""
+    full = dict(
+        crank_3=0.0, joint=np.zeros(2), frame_angle=0.0, eccentricity=1.3e-3, spacing=72e-3, angle=2.4, ratio=67.0
+    )
+    lanes = {name: np.broadcast_to(numbers.get(name, value), (400, *np.shape(value))) for name, value in full.items()}
+    (_, found), slope = geared(lanes)
+    return found, slope
+
+
 def test_geared_cranks_without_misfit_do_not_slip():
     """Soft gears leave other places of rest, which bisection found when rounding kept Newton from halving."""
     rng = np.random.default_rng(0)
-    lanes = np.stack([10 ** rng.uniform(-3, -1, 400), rng.uniform(-7, 7, 400), rng.uniform(-0.03, 0.03, 400)], 1)
-
-    def close(x):
-        found = four_bar.solve_closure(
-            x[0], 1.0, LinkDeviations(frame_angle=x[2]), crank_angle=x[1], cranks="geared", gear_stiffness_ratio=0.15
-        )
-        return found.coupler_angle, found.info.status
-
-    angle, status = jax.jit(jax.vmap(close))(lanes)
-    np.testing.assert_array_equal(status, Status.CONVERGED)
-    np.testing.assert_allclose(angle, lanes[:, 2], 1e-12, 1e-15)
+    size, angle, turned = 10 ** rng.uniform(-3, -1, 400), rng.uniform(-7, 7, 400), rng.uniform(-0.03, 0.03, 400)
+    found, _ = geared_cranks(eccentricity=size, angle=angle, frame_angle=turned, spacing=1.0, ratio=0.15)
+    np.testing.assert_array_equal(found.info.status, Status.CONVERGED)
+    np.testing.assert_allclose(found.coupler_angle, turned, 1e-12, 1e-15)
 
 
 def test_contact_where_first_order_minima_are_out_of_reach():
@@ -148,35 +173,39 @@ def test_geared_cranks_too_soft_for_an_angle_leave_their_neighbours_alone():
     """A slip of 1e30 rad has no angle: NONFINITE, and a gradient that is finite."""
     cases = [dict(), dict(crank_3=-1e30), dict(joint=(-1e30, 1e-4)), dict(eccentricity=1e-300), dict(ratio=1e-30)]
     full = [dict(crank_3=1e-5, joint=(0.0, 0.0), eccentricity=1.3e-3, ratio=67.0) | case for case in cases]
-    lanes = {name: np.array([case[name] for case in full]) for name in full[0]}
-
-    def closed(case):
-        deviations = LinkDeviations(crank_3=case["crank_3"], joint=case["joint"])
-        found = four_bar.solve_closure(
-            case["eccentricity"],
-            72e-3,
-            deviations,
-            crank_angle=2.4,
-            cranks="geared",
-            gear_stiffness_ratio=case["ratio"],
-        )
-        return jnp.where(found.info.status == Status.CONVERGED, found.coupler_angle, 0), found
-
-    (_, found), slope = jax.jit(jax.vmap(jax.value_and_grad(closed, has_aux=True)))(lanes)
-    np.testing.assert_array_equal(found.info.status, [Status.CONVERGED] + [Status.NONFINITE] * 4)
-    np.testing.assert_array_equal(np.isnan(found.coupler_angle), [False] + [True] * 4)
+    full += full[:1] * 395
+    found, slope = geared_cranks(**{name: np.array([case[name] for case in full]) for name in full[0]})
+    due = [Status.CONVERGED, *[Status.NONFINITE] * 4, *[Status.CONVERGED] * 395]
+    np.testing.assert_array_equal(found.info.status, due)
+    np.testing.assert_array_equal(np.isnan(found.coupler_angle), np.array(due) != Status.CONVERGED)
     assert all(np.isfinite(leaf).all() for leaf in slope.values())
     assert abs(slope["crank_3"][0]) > 1
 
 
+@jax.jit
+@jax.vmap
+def transmitted(case):
+    """The transmission error of an RV-40E."""
+    errors = RVErrors(crank_phase=jnp.stack([case["phase"], 0.0]), bearing_clearance=case["clearance"])
+    return four_bar.transmission_error(
+        catalogue.RV_40E, errors, crank_angle=case["angle"], output_torque=case["torque"]
+    )
+
+
+def four_units(**numbers):
+    """Columns, (4,); a number holds for all of them."""
+    full = dict(phase=0.0, clearance=0.0, angle=0.3, torque=0.0) | numbers
+    return transmitted({name: np.broadcast_to(value, (4,)) for name, value in full.items()})
+
+
+def test_phases_beyond_the_trigonometry_are_named():
+    found = four_units(phase=np.array([0.99 * LARGEST_ANGLE, -2 * LARGEST_ANGLE, 1e30, 0.0])).info.status
+    np.testing.assert_array_equal(found, [Status.CONVERGED, Status.NONFINITE, Status.NONFINITE, Status.CONVERGED])
+
+
 def test_a_torque_too_small_for_its_square_has_a_status():
     """It was taken for no torque at all: the clearance, which any load takes up whole, was left out."""
-    errors = RVErrors(bearing_clearance=1e-5)
-
-    def error(torque):
-        return four_bar.transmission_error(catalogue.RV_40E, errors, crank_angle=1.0, output_torque=torque)
-
-    found = jax.jit(jax.vmap(error))(np.array([1e-300, 1e-140, 1e-20, 0.0]))
+    found = four_units(clearance=1e-5, angle=1.0, torque=np.array([1e-300, 1e-140, 1e-20, 0.0]))
     np.testing.assert_array_equal(found.info.status, [Status.NONFINITE] + [Status.CONVERGED] * 3)
     assert np.isnan(found.error[0]) and abs(found.error[1]) > 1e-5 and found.error[3] == 0
     np.testing.assert_allclose(found.error[1], found.error[2], rtol=1e-9)

@@ -3,10 +3,12 @@
 import dataclasses
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from rvjax import RVErrors, identify, loaded, models, study
+from rvjax.loaded import observation
 from rvjax.published.rv160 import READ
 from rvjax.study import bench, problem
 from rvjax.study.measured import Conditions, Loop, Measured
@@ -24,34 +26,56 @@ PRIOR = {
 }
 
 
+def told(layout, design, errors, torques, angles):
+    """Errors (t, n) by a law with the sense of a reducer: play, springs that stiffen, a wave along the turn."""
+    springs = 1e6 * design.stiffness.support_bearing / READ.stiffness.support_bearing
+    load, gone = jnp.asarray(torques)[:, None], jnp.asarray(errors.bearing_clearance) / 0.05
+    windup = load / springs + 1e-4 * jnp.tanh(load / 900.0) + gone * jnp.tanh(load / 50.0)
+    return jnp.where(load == 0, 0.0, -windup) + 1e-6 * (1 + windup / 1e-3) * jnp.cos(jnp.asarray(angles)[None] / 3)
+
+
+@pytest.fixture(params=["told", pytest.param("equilibria", marks=pytest.mark.long)])
+def law(request, monkeypatch):
+    """What the loaded model answers."""
+    if request.param == "told":
+        monkeypatch.setattr(observation, "_errors", told)
+    return request.param
+
+
 @jax.vmap
-def angle(torque):
-    """Of a unit, input held: the torque on its discs is against that of the bench. As many as a midline: one program"""
+def solved(torque):
+    """As many as a midline: one program."""
     errors = RVErrors.for_design(READ, bearing_clearance=CLEARANCE)
-    return loaded.equilibrium(READ.stiffer(STIFFNESS), errors, input_angle=0.0, output_torque=-torque).error
+    return loaded.equilibrium(READ.stiffer(STIFFNESS), errors, input_angle=0.0, output_torque=torque).error
 
 
-@pytest.fixture(scope="module")
-def branches():
-    """Rising and falling branch: friction holds the output back on either."""
-    return np.split(np.asarray(angle(np.concatenate([TORQUE - DRAG, TORQUE + DRAG]))), 2)
+@pytest.fixture
+def data(law):
+    """Of a unit, input held: the torque on its discs is against that of the bench. Friction holds it back on either
+    branch, the rising and the falling one."""
+    torques = -np.concatenate([TORQUE - DRAG, TORQUE + DRAG])
+    errors = RVErrors.for_design(READ, bearing_clearance=CLEARANCE)
+    angle = (
+        solved(torques) if law != "told" else told(None, READ.stiffer(STIFFNESS), errors, torques, np.zeros(1))[:, 0]
+    )
+    rising, falling = np.split(np.asarray(angle), 2)
+    return {"angle": (rising + falling) / 2, "width": falling - rising}
 
 
 def midline(nuisances):
-    observation = models.kind(READ).observations("loaded")["loop"]
-    return bench.Midline(READ, -TORQUE, observation, GIVEN, nuisances)
+    loop = models.kind(READ).observations("loaded")["loop"]
+    return bench.Midline(READ, -TORQUE, loop, GIVEN, nuisances)
 
 
-@pytest.fixture(scope="module")
-def data(branches):
-    rising, falling = branches
-    return {"angle": (rising + falling) / 2, "width": falling - rising}
+def seen_by(model, known):
+    """The measurement that a model predicts, by a program of its own."""
+    return jax.jit(lambda values: model(values))(known)
 
 
 def test_a_loop_is_as_wide_as_its_drag(data):
     """The width is drag times compliance, from the branches; the midline has the clearance."""
     known = dict(bearing_clearance=CLEARANCE, stiffness=STIFFNESS, offset=0.0, drag=DRAG)
-    seen = jax.jit(midline(("offset", "drag")).__call__)(known)
+    seen = seen_by(midline(("offset", "drag")), known)
     np.testing.assert_allclose(seen["angle"], data["angle"], atol=1e-12)
     np.testing.assert_allclose(seen["width"], data["width"], atol=1e-12)
 
@@ -79,12 +103,11 @@ def test_a_measured_loop_is_that_of_its_unit(data):
     made = problem.problem(asked, Measured("loop", (loop,)))
     (measured,) = made.data
     known = dict(bearing_clearance=CLEARANCE, stiffness=STIFFNESS, offset=0.0, drag=DRAG)
-    predicted = jax.jit(made.model.__call__)(known)
+    predicted = seen_by(made.model, known)
     for name in ("angle", "width"):
         np.testing.assert_allclose(predicted[name], measured[name], atol=1e-12)
 
 
-@pytest.mark.long  # compiles the derivatives to every number; the model of the loop is tested above
 def test_a_loop_tells_drag_from_clearance(data):
     prior = PRIOR | {"drag": nuisance("drag", ())}
     noise = identify.Noise({"angle": 0.2 * arcsec, "width": 0.4 * arcsec})
@@ -95,19 +118,19 @@ def test_a_loop_tells_drag_from_clearance(data):
     assert found.value["stiffness"] == pytest.approx(STIFFNESS, rel=0.002)
 
 
-def test_a_curve_runs_under_load_and_drag():
+def test_a_curve_runs_under_load_and_drag(law):
     """The torque of a run is that of the bench plus drag, on either side; without drag it is today's."""
     ways = [(t, way, n) for t in (0.0, 500.0) for way in ("forward", "backward") for n in (100.0, 1000.0)]
     runs = [Conditions(torque=t, direction=way, speed=n * rpm) for t, way, n in ways]
     made = bench.curve_model("loaded", READ, GIVEN, runs, (40,), ("offset", "drag", "viscous_drag"), ())
-    seen = jax.jit(made.__call__)({"offset": 0.0, "drag": 15.0, "viscous_drag": 0.1})["mean"]
+    seen = seen_by(made, {"offset": 0.0, "drag": 15.0, "viscous_drag": 0.1})["mean"]
     sign = np.array([run.sign for run in runs])
     load = sign * [t + 15.0 + 0.1 * n * rpm for t, _, n in ways]
     some = np.array([0, 3, 4, 5, 6, 7])  # with those at standstill as many as above: one program
     due = [Conditions(torque=abs(t), direction="forward" if t > 0 else "backward") for t in load[some]]
     still = [Conditions(torque=0.0, direction=way) for way in ("forward", "backward")]
     bare = bench.curve_model("loaded", READ, GIVEN, [*due, *still], (40,), ("offset",), ())
-    plain = jax.jit(bare.__call__)({"offset": 0.0})["mean"]
+    plain = seen_by(bare, {"offset": 0.0})["mean"]
     np.testing.assert_allclose(seen[some], plain[:6], rtol=1e-9)
     windup = np.asarray((seen[2:4] - seen[:2]) / 2)
     assert 0 < windup[0] < windup[1]  # no load: the faster run winds up more

@@ -1,23 +1,16 @@
 """Identification by parts of a model: their mean is the observation, the first one leads, all of them decide."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from rvjax import identify
 from rvjax.identify.gauss_newton import damped_step
-from rvjax.identify.problem import Problem
 from rvjax.identify.search import phi_about, phi_at
-from rvjax.identify.shares import contributions
 from rvjax.loaded import outputs
 from rvjax.loaded.cases import MACHINE
 from rvjax.loaded.observation import CURVE
 from rvjax.records import Array, Record, field, record
-from rvjax.study import bench
-from rvjax.study.measured import Conditions
-from rvjax.tolerances import Tolerance
-from rvjax.units import um
 from tests.identify_models import Noise, unit
 
 PRIOR = {"a": unit(3.0), "b": unit(3.0)}
@@ -118,39 +111,3 @@ def test_parts_of_a_turn_take_no_order_of_the_pins_for_another():
     assert CURVE.parts(MACHINE, given, (40, 80), False) == 5
     assert CURVE.parts(MACHINE, given, (40, 80), True) == 1
     assert CURVE.parts(MACHINE, given, (82,), False) == 1
-
-
-def test_slopes_of_a_loaded_curve():
-    """Parts against the curve over all angles, by another program; slopes against its differences, 1e-4 standard
-    deviations to each side: contacts that open between leave 1e-4 of the largest."""
-    runs = [Conditions(torque=412.0, direction=way) for way in ("forward", "backward")]
-    prior = {
-        "ring_centre": Tolerance.symmetric(5 * um, shape=(2,)),
-        "bearing_clearance": Tolerance(0.0, 3 * um),
-        "offset": unit(3e-3),
-    }
-    given = outputs.Conditions(output_torque=412.0, samples=8, pin_contact="linear")
-    model = bench.curve_model("loaded", MACHINE, given, runs, (40,), ("offset",), tuple(prior))
-    problem = Problem.of(model, prior, noise=Noise(1.0), nuisance="offset")
-    rng = np.random.default_rng(1)
-    u, along = rng.standard_normal((2, problem.elements.count))
-    found, slopes = problem.evaluate(u[None])
-    assert len(model.split()[1]) == 5
-
-    @jax.jit
-    def plain(population, u):
-        return jax.lax.map(lambda u: bench_values(model, population, u), u)
-
-    below, here, above = np.asarray(plain(problem.elements.population, u + np.array([[-1e-4], [0], [1e-4]]) * along))
-    np.testing.assert_allclose(found[0], here, atol=1e-9 * np.abs(here).max())
-    due = (above - below) / 2e-4
-    np.testing.assert_allclose(slopes[0] @ along, due, atol=1e-4 * np.abs(due).max())
-    parts = contributions(problem, np.zeros(problem.elements.count))
-    assert parts.shape == (6, 3) and not parts.any()
-
-
-def bench_values(model, population, u):
-    from rvjax.identify.elements import values_of
-    from rvjax.identify.observation import flatten
-
-    return flatten(model(values_of(population, u)))

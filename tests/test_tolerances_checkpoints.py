@@ -204,25 +204,25 @@ def slow_study(path, samples):
     run(samples, checkpoint=path, checkpoint_every=0)
 
 
-def test_killed_at_ten_random_moments_and_resumed(tmp_path):
-    path, samples = tmp_path / "c", 300_500
+def test_killed_at_five_random_moments_and_resumed(tmp_path):
+    path, samples = tmp_path / "c", 150_500
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["jax", "rvjax.tolerances"])
     rng, reached = np.random.default_rng(0), []
-    for _ in range(10):
+    for _ in range(5):
         process = context.Process(target=slow_study, args=(path, samples))
         process.start()
         begun = Path(f"{path}.begun")
         while not begun.exists():
             assert process.is_alive()
             time.sleep(0.002)
-        time.sleep(rng.uniform(0.0, 0.1))  # ten of them: at most 1 s of at least 1.2 s
+        time.sleep(rng.uniform(0.0, 0.1))  # five of them: at most 0.5 s of at least 0.6 s
         process.kill()  # SIGKILL
         process.join()
         assert process.exitcode == -9
         begun.unlink()
         with np.load(path) as file:  # whole at any moment
             reached.append(json.loads(file["about"].tobytes())["next"])
-    assert reached == sorted(reached) and 0 < reached[-1] < 300
-    assert len(set(reached)) > 3
+    assert reached == sorted(reached) and 0 < reached[-1] < 150
+    assert len(set(reached)) > 2
     assert bits(run(samples, checkpoint=path)) == bits(run(samples))

@@ -50,15 +50,15 @@ def within(estimate, expected, errors=4.0):
 
 
 def test_normal_stack_meets_its_closed_form():
-    found = monte_carlo(linear, STACK, samples=400_000, seed=1, requirements=LIMITS)
+    found = monte_carlo(linear, STACK, samples=100_000, seed=1, requirements=LIMITS)
     sd = math.sqrt(12**2 + 6**2 + 2**2) * um
     within(found.mean, 0.0)
     within(found.sd, sd)
-    assert found.sd.error == pytest.approx(sd / math.sqrt(2 * 400_000), rel=0.02)  # of a normal law
+    assert found.sd.error == pytest.approx(sd / math.sqrt(2 * 100_000), rel=0.02)  # of a normal law
     within(found.quantiles[0.99865], 3 * sd)
     within(found.quantiles[0.00135], -3 * sd)
     within(found.yield_, 2 * stats.norm.cdf(30 * um / sd) - 1)
-    assert found.yield_.value == pytest.approx(0.97301, abs=1e-3)
+    assert found.yield_.value == pytest.approx(0.97301, abs=2e-3)
     assert found.ppm.value == pytest.approx(1e6 * (1 - found.yield_.value))
     assert found.ppm.lower == pytest.approx(1e6 * (1 - found.yield_.upper))
     assert found.cp == pytest.approx(60 * um / (6 * found.sd.value))
@@ -93,7 +93,7 @@ def test_rayleigh_vectors_and_magnitudes():
         return {"length": jnp.hypot(radial, tangential), "radial": radial, "size": e["size"]}
 
     limits = {"length": Requirement(upper=9 * um), "size": Requirement(upper=9 * um)}
-    found = monte_carlo(response, tolerances, samples=200_000, seed=3, requirements=limits)
+    found = monte_carlo(response, tolerances, samples=50_000, seed=3, requirements=limits)
     for name in ("length", "size"):
         within(found.mean[name], 3 * um * math.sqrt(math.pi / 2))
         within(found.sd[name], 3 * um * math.sqrt(2 - math.pi / 2))
@@ -114,7 +114,7 @@ def test_batch_factor_correlates_the_elements_of_a_field():
         crossed = e["v"][0, 0] * e["v"][1, 1]
         return {"mean": jnp.mean(e["x"]), "one": e["x"][2], "radial": jnp.sum(e["v"][:, 0]), "cross": crossed}
 
-    found = monte_carlo(response, tolerances, samples=100_000, seed=0)
+    found = monte_carlo(response, tolerances, samples=50_000, seed=0)
     within(found.sd["mean"], math.sqrt((1 + 3 * 0.5) / 4))
     within(found.sd["one"], 1.0)
     within(found.sd["radial"], math.sqrt(3 + 6 * 0.4))
@@ -132,7 +132,7 @@ def test_a_unit_is_the_same_alone_and_in_any_chunk():
     for index in (0, 1023, 1024, 4999):
         alone = pair(sample(STACK, index, seed=7))
         np.testing.assert_allclose(alone["sum"], whole.values["sum"][index], rtol=1e-12)
-    batch = jax.vmap(lambda i: pair(sample(STACK, i, seed=7))["sum"])(jnp.arange(4990, 5000))
+    batch = jax.jit(jax.vmap(lambda i: pair(sample(STACK, i, seed=7))["sum"]))(jnp.arange(4990, 5000))
     np.testing.assert_allclose(batch, whole.values["sum"][4990:], rtol=1e-12)
     assert (
         np.abs(monte_carlo(pair, STACK, samples=5000, seed=8, keep=True).values["sum"] - whole.values["sum"]).min() > 0
@@ -197,7 +197,8 @@ def test_failed_units_are_rejects_with_a_reason():
     found = monte_carlo(
         failing, STACK, samples=20_000, seed=1, chunk=3000, keep=True, requirements={"y": Requirement(upper=1.0)}
     )
-    a, b = (np.array(jax.vmap(lambda i, n=n: sample(STACK, i, seed=1)[n])(jnp.arange(20_000))) for n in "ab")
+    units = jax.jit(jax.vmap(lambda i: sample(STACK, i, seed=1)))(jnp.arange(20_000))
+    a, b = np.asarray(units["a"]), np.asarray(units["b"])
     nan, blocked = a > 6 * um, b > 6 * um
     assert found.failures == {"NONFINITE": int((nan & ~blocked).sum()), "NOT_ASSEMBLABLE": int(blocked.sum())}
     assert found.failed == int((nan | blocked).sum())
@@ -237,12 +238,12 @@ def test_zero_width_everywhere():
     assert found.quantiles[0.99865].value == pytest.approx(4 * um, rel=1e-9)
 
 
-def test_no_active_field_and_two_hundred():
+def test_no_active_field_and_fifty():
     found = monte_carlo(lambda e: e["a"] + 1.0, {"a": None}, samples=10, seed=0)
     assert (found.mean.value, found.sd.value) == (1.0, 0.0)
-    many = {f"x{i}": Tolerance.symmetric(3.0) for i in range(200)}
+    many = {f"x{i}": Tolerance.symmetric(3.0) for i in range(50)}
     found = monte_carlo(lambda e: sum(e.values()), many, samples=20_000, seed=0)
-    within(found.sd, math.sqrt(200))
+    within(found.sd, math.sqrt(50))
 
 
 def test_extreme_targets_and_intervals():
@@ -263,12 +264,13 @@ def test_for_design_fills_shapes():
     assert tolerances.disc_bore.is_vector
     assert not tolerances.crank_eccentricity.is_vector  # two cranks are no [radial, tangential]
     assert tolerances.crank_phase is None
-    errors = sample(tolerances, 0, seed=0)
+    errors = jax.jit(lambda: sample(tolerances, 0, seed=0))()
     assert errors.crank_eccentricity.shape == (2, 2)
     assert (errors.crank_eccentricity > 0).all()
     assert errors.eccentricity.shape == ()
-    assert type(errors.crank_phase) is float
-    assert errors.crank_phase == 0.0
+    eager = sample(for_design(rvjax.catalogue.RV_40E, eccentricity=tolerances.eccentricity), 0, seed=0)
+    assert type(eager.crank_phase) is float
+    assert eager.crank_phase == 0.0
 
 
 def test_a_sampled_preload_passes_where_an_eager_one_is_refused():

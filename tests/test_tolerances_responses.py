@@ -1,7 +1,8 @@
 """A response that is a record is an argument of its programs; a plain function is held for a while only.
 
 Oracles: counts of compilations, weak references, and the memory of the process. A program of its own costs some
-0.5 to 1.5 MB, so that 2000 of them would be a gigabyte; 64 MB of growth leaves room for the allocator alone.
+0.5 to 1.5 MB, so that 500 of them would be a quarter of a gigabyte; 64 MB of growth leaves room for the allocator
+alone.
 """
 
 import gc
@@ -18,6 +19,7 @@ from oracles.programs import programs
 from rvjax._jax.compile_cache import QUICK, understood
 from rvjax.population.population import Population, drawn, root_key
 from rvjax.records import Record, count, field, record
+from rvjax.response import response as module
 from rvjax.response.gradients import pulled
 from rvjax.response.response import PROGRAMS, per_response, respond
 from rvjax.tolerances import (
@@ -68,15 +70,15 @@ def test_a_record_computes_what_a_closure_does():
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from /proc")
-def test_two_thousand_designs_share_one_program_and_none_is_kept():
+def test_five_hundred_designs_share_one_program_and_none_is_kept():
     z = drawn(POPULATION, root_key(0), jnp.uint32(0), count=4)
     respond(lever(1.0), POPULATION, z)
     gc.collect()
     compiled, before, alive = programs(respond, lever(1.0)), resident(), []
-    for k in range(2000):
+    for k in range(500):
         design = lever(1.0 + k)
         values, _ = respond(design, POPULATION, z)
-        if k % 20 == 0:
+        if k % 5 == 0:
             alive += [weakref.ref(design), weakref.ref(design.table)]
     assert float(values[""][0]) == pytest.approx(float(design({k: v[0] for k, v in POPULATION.errors(z).items()})))
     del design, values
@@ -89,19 +91,21 @@ def test_two_thousand_designs_share_one_program_and_none_is_kept():
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from /proc")
-def test_plain_functions_are_released():
-    added = per_response()(lambda response, x: response(x))  # a program of one addition: 130 compile in seconds
+def test_plain_functions_are_released(monkeypatch):
+    """The same with an eighth of the programs that are kept."""
+    monkeypatch.setattr(module, "PROGRAMS", PROGRAMS // 8)
+    added = per_response()(lambda response, x: response(x))  # a program of one addition: 65 compile in a second
     alive, settled = [], 0.0
-    for k in range(130):
-        if k == 65:
+    for k in range(65):
+        if k == 10:
             settled = resident()
         table = np.full(1000, float(k))
         alive.append(weakref.ref(table))
         added(lambda x, table=table: x + table[0], 1.0)
     del table
     gc.collect()
-    assert sum(reference() is not None for reference in alive) == PROGRAMS
-    assert resident() - settled < 8  # 65 more functions; what is kept of each would be 0.2 MB or more
+    assert sum(reference() is not None for reference in alive) == PROGRAMS // 8
+    assert resident() - settled < 8  # 55 more functions; what is kept of each would be 0.2 MB or more
     z = drawn(POPULATION, root_key(0), jnp.uint32(0), count=4)
     last = lambda e: e["a"]  # noqa: E731
     respond(last, POPULATION, z)

@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 from rvjax import cli, tolerances
+from rvjax._ground.files import versions
 from rvjax.population.population import Population
 from rvjax.response import devices
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, Requirement, Tolerance, UnitFile, monte_carlo, sample
-from rvjax.tolerances.batch import checkpoint, unit_file
+from rvjax.tolerances.batch import unit_file
 
 ERRORS = {"a": Tolerance(-2.0, 4.0), "b": Tolerance(0.0, 3.0, shape=(2, 2), distribution="uniform")}
 OPTIONS = dict(samples=250, seed=3, chunk=100)
@@ -105,7 +106,7 @@ def test_parquet_holds_the_same_bits_with_units_seed_and_versions(tmp_path):
     assert found.attrs["units"] == {"y": "rad", "a": "m"} and found.attrs["seed"] == 3
     origin = tolerances.origin(tmp_path / "u.parquet")
     assert origin.kind == "units" and origin.seed == 3 and origin.study["name"] == "product"
-    assert origin.versions == checkpoint.versions() and origin.study["method"] == "random"
+    assert origin.versions == versions() and origin.study["method"] == "random"
     file = parquet.ParquetFile(tmp_path / "u.parquet")
     assert [file.metadata.row_group(k).num_rows for k in range(file.num_row_groups)] == [100, 100, 50]
     (tmp_path / "bad.parquet").write_bytes(b"PAR1 no table PAR1")
