@@ -4,6 +4,7 @@ import csv
 import dataclasses
 import json
 import re
+import types
 from pathlib import Path
 
 import matplotlib.image
@@ -173,10 +174,15 @@ def test_a_fresh_result_takes_the_place_of_the_stored_one(answers, undrawn, here
     def fails(*_, **__):
         raise OSError("disk full")
 
-    for owner, name in ((rvjax.commands.allocate.answer, "answer"), (Report, "json"), (folders.os, "replace")):
+    swap = types.SimpleNamespace(replace=fails)  # of the folders; that of files is another one
+    for owner, name, bad in (
+        (rvjax.commands.allocate.answer, "answer", fails),
+        (Report, "json", fails),
+        (folders, "os", swap),
+    ):
         stale()
         with monkeypatch.context() as patch:
-            patch.setattr(owner, name, fails)
+            patch.setattr(owner, name, bad)
             assert cli.main([*command, "--fresh"]) == 2 and "disk full" in capsys.readouterr().err
         assert (place / "summary.txt").read_text() == "old" and (place / "notes.txt").exists(), name
         assert [path.name for path in place.parent.iterdir() if "part" not in path.name] == ["small"], name

@@ -61,6 +61,8 @@ def test_a_share_stays_next_to_what_it_is_a_share_of():
         "one    0.1 um/um    1 %  0.2 um/um    2 %",
     ]
     assert second == ["error  met", "---------------", "one      9  yes"]
+    blocks = [block.split("\n")[-1] for block in aligned(titles, rows, 38).split("\n\n")]  # the second slope would fit
+    assert [block.count("%") for block in blocks] == [1, 1] and "0.2 um/um" in blocks[1]
     titles = ["owner", "of", "loaded rms", "loaded share", "unloaded rms", "unloaded 99 %"]
     blocks = aligned(titles, [["crank_eccentricity"] + ["0.123"] * 5], 48).split("\n\n")
     assert [block.split("\n")[-1].count("0.123") for block in blocks] == [3, 2]  # 4 columns would fit
