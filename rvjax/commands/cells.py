@@ -1,11 +1,12 @@
-"""Cells of several commands: limits of errors, evaluated values of requirements, failed units."""
+"""Cells of several commands: limits of errors, evaluated values of requirements, influence of errors, failed units."""
 
 import math
 
 from rvjax.outputs import Output
 from rvjax.render import Quantity
 from rvjax.study import Study
-from rvjax.tolerances import Estimate, Limits, Statistics, Tolerance, Verdict
+from rvjax.tolerances import Estimate, Influence, Limits, Statistics, Tolerance, Verdict
+from rvjax.units import readable
 
 
 def limits_of(tolerance: Tolerance, unit: str) -> Quantity:
@@ -47,6 +48,56 @@ def evaluated(verdict: Verdict, output: Output) -> Quantity:
     if verdict.kind == "response":
         return Quantity.of(verdict.estimate, output.unit, output.read_in)
     return Quantity.of(verdict.estimate)
+
+
+UNMOVED = "no slope"
+UNMOVED_MEANS = (
+    "no slope: raising and lowering the error act alike, or the model ignores it (share -); "
+    "rms: slope of single units, root mean square"
+)
+SHARE_MEANS = "share: variance that the error causes, alone and together with others; scaled to sum to 100 %"
+KNOWN = 5e-4  # half of the last digit of a share: no interval within it is shown
+
+
+def influence_share(found: Influence, field: str) -> Quantity | None:
+    """Share of an error in the variance, with its interval; None if the error does nothing.
+
+    Args:
+        found: influences on a response.
+        field: name of the error.
+    """
+    one = found.shares[field]
+    if one.value == 0 and found.scatter[field] == 0:
+        return None
+    if one.upper - one.lower < KNOWN:
+        return Quantity(one.value, read_in="%", form=".1f")
+    return Quantity.of(one, read_in="%", form=".1f")
+
+
+def slope_text(found: Influence, field: str, study: Study, output: Output) -> str:
+    """Mean slope of a response along an error, or that there is none.
+
+    Args:
+        found: influences on the response.
+        field: name of the error.
+        study: with both.
+        output: what the response is.
+    """
+    unit, size = output.shown
+    per = f"{unit}/{readable(study.unit(field))[0]}"
+    sizes = {name: readable(study.unit(name))[1] / size for name in found.slopes}
+    shown = [slope * sizes[name] for each in (found.slopes, found.scatter) for name, slope in each.items()]
+    largest = max((slope for slope in shown if math.isfinite(slope) and slope > 0), default=1.0)
+    decimals = min(4, max(0, 3 - math.floor(math.log10(largest))))  # fewer where the largest then has four digits
+    mean, single = (each[field] * sizes[field] for each in (found.slopes, found.scatter))
+    if mean:
+        return f"{mean:.{decimals}f} {per}"
+    return f"{UNMOVED}, rms {single:.{decimals}f} {per}" if single > 0 else UNMOVED
+
+
+def together_text(found: Influence) -> str:
+    """Sum of the shares before they are scaled, such as "120 %"."""
+    return f"{100 * found.total.value:.0f} %"
 
 
 def failures_text(found: Statistics) -> str:

@@ -26,6 +26,7 @@ from rvjax.response import (  # chunks of the certificate's size: the response c
 from rvjax.study import CURVE, Study, refuse
 from rvjax.tolerances import (
     Allocation,
+    Influence,
     Memo,
     Requirement,
     Run,
@@ -51,8 +52,7 @@ class Side:
     Attributes:
         tolerances: record with a Tolerance or None in each field.
         cost: of each field that has a cost.
-        shares: {response: {field: share of variance}}.
-        sensitivities: {response: {field: derivative per element, root mean square over the elements}}.
+        influence: {response: what each error does to it}; empty before the allocation.
         values: {response: values of sample units}, for histograms.
         angle: of the curves, rad (angles,).
         curves: what a person looks at, for sample units, SI (units, angles); empty without such a curve.
@@ -62,13 +62,17 @@ class Side:
 
     tolerances: PyTree
     cost: dict[str, float]
-    shares: Mapping[str, Mapping[str, float]]
-    sensitivities: Mapping[str, Mapping[str, float]]
+    influence: Mapping[str, Influence]
     values: Mapping[str, np.ndarray]
     angle: np.ndarray
     curves: np.ndarray
     failed: dict[str, int]
     seed: int
+
+    @property
+    def shares(self) -> dict[str, dict[str, float]]:
+        """Shares {response: {field: part of the variance}}."""
+        return {name: {field: x.value for field, x in found.shares.items()} for name, found in self.influence.items()}
 
 
 @dataclass(frozen=True)
@@ -149,9 +153,11 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None, me
     )
     begin(SAMPLING)
     curves = _curves(study, solved)
+    chunk = BLOCK if study.middles else min(study.samples, BLOCK)  # of the search
+    found = influences(response, allocation.tolerances, seed=study.seed, chunk=chunk)
     sides = [
-        _side(study, response, study.tolerances, before, curves),
-        _side(study, response, allocation.tolerances, certificate, curves),
+        _side(study, response, study.tolerances, before, curves, {}),
+        _side(study, response, allocation.tolerances, certificate, curves, found),
     ]
     begin(PRICING)
     return Answer(
@@ -175,8 +181,14 @@ def _begin_programs(study: Study, response: Response) -> None:
         begin_curves(study.curve, study.design, study.conditions, population)
 
 
-def _side(study: Study, response: Response, tolerances: PyTree, certificate: Statistics, curves: _Curves) -> Side:
-    shares, sensitivities = influences(response, tolerances)
+def _side(
+    study: Study,
+    response: Response,
+    tolerances: PyTree,
+    certificate: Statistics,
+    curves: _Curves,
+    influence: Mapping[str, Influence],
+) -> Side:
     kept = certificate
     if kept.values is None:  # more units than a histogram shows: some of its own
         count, seed = shown_values(study), study.seed + 2
@@ -185,11 +197,7 @@ def _side(study: Study, response: Response, tolerances: PyTree, certificate: Sta
     return Side(
         tolerances=tolerances,
         cost={name: float(cost(getattr(tolerances, name).half_width)) for name, cost in study.costs.items()},
-        shares=shares,
-        sensitivities={
-            name: {field: float(np.sqrt(np.mean(np.square(derivative)))) for field, derivative in fields.items()}
-            for name, fields in sensitivities.items()
-        },
+        influence=influence,
         values=kept.values,
         angle=angle,
         curves=drawn,

@@ -202,9 +202,11 @@ def _tolerances(answer: Answer, drawn: dict[str, Figure]) -> Section:
 
 
 def _influence(answer: Answer, drawn: dict[str, Figure]) -> Section:
+    units = " or ".join(dict.fromkeys(f"{found.units:,}" for found in answer.after.influence.values()))
     text = Note(
-        "With the tolerances after: the derivative of each response to one element of an error (root mean square over "
-        "its elements), and the share of the error in the variance of the response."
+        f"With the tolerances after, of {units} units: the derivative of each response to one element of an error "
+        "(mean over the units, root mean square over its elements), and the share of the error in the variance: the "
+        "units are compared with units in which this error is sampled again."
     )
     return Section("Which error matters", (text, *influence_tables(answer), drawn["variance_shares"]))
 
