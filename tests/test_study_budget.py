@@ -275,4 +275,4 @@ def test_slopes_of_a_life_are_hours_per_micrometre():
     made = scalar.ScalarBudget("life", found, dict.fromkeys(fields, "disc"))
     text = scalar.report_on_scalar(made, asked).text()
     assert "mean 6000 h, standard deviation 1 h" in text and " 250 h/um" in text and "sd h" in text
-    assert "5.0 % [2.0, 8.0]" in text and "before scaling: 100 %" in text
+    assert "5.0 % [2.0, 8.0]" in text and "act together" not in text

@@ -190,4 +190,7 @@ def test_cells_of_the_tables():
         cell = influence_share(found, field)
         assert re.fullmatch(slope, slope_text(found, field, _Study, output))
         assert re.fullmatch(share, "-" if cell is None else cell.text())
-    assert together_text(found) in ("99 %", "100 %", "101 %")
+    assert together_text({"life": found}) == ""
+    together = influences(product, PAIR)[""]
+    said = f"errors act together; before scaling the shares sum to: y {100 * together.total.value:.0f} %"
+    assert together_text({"life": found, "y": together}) == said

@@ -1,6 +1,7 @@
 """Cells of several commands: limits of errors, evaluated values of requirements, influence of errors, failed units."""
 
 import math
+from collections.abc import Mapping
 
 from rvjax.outputs import Output
 from rvjax.render import Quantity
@@ -55,7 +56,7 @@ UNMOVED_MEANS = (
     "no slope: raising and lowering the error act alike, or the model ignores it (share -); "
     "rms: slope of single units, root mean square"
 )
-SHARE_MEANS = "share: variance that the error causes, alone and together with others; scaled to sum to 100 %"
+SHARE_MEANS = "share: variance that the error causes, alone and with others [95 %]; scaled to sum to 100 %"
 KNOWN = 5e-4  # half of the last digit of a share: no interval within it is shown
 
 
@@ -92,12 +93,19 @@ def slope_text(found: Influence, field: str, study: Study, output: Output) -> st
     mean, single = (each[field] * sizes[field] for each in (found.slopes, found.scatter))
     if mean:
         return f"{mean:.{decimals}f} {per}"
-    return f"{UNMOVED}, rms {single:.{decimals}f} {per}" if single > 0 else UNMOVED
+    said = f"{single:.{decimals}f}"
+    return f"{UNMOVED}, rms {said} {per}" if float(said) > 0 else UNMOVED
 
 
-def together_text(found: Influence) -> str:
-    """Sum of the shares before they are scaled, such as "120 %"."""
-    return f"{100 * found.total.value:.0f} %"
+def together_text(influence: Mapping[str, Influence]) -> str:
+    """A line on responses in which errors act together; "" if there are none.
+
+    Args:
+        influence: of the errors, by response.
+    """
+    sums = {name: found.total for name, found in influence.items() if found.total.lower > 1 + KNOWN}
+    said = ", ".join(f"{name} {100 * total.value:.0f} %" for name, total in sums.items())
+    return f"errors act together; before scaling the shares sum to: {said}" if said else ""
 
 
 def failures_text(found: Statistics) -> str:

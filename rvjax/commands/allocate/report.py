@@ -201,7 +201,7 @@ def influence_tables(answer: Answer) -> list[Table]:
     study, found = answer.study, answer.after.influence
     columns: list[Column] = [Text("error")]
     for name in study.requirements:
-        columns += [Text(f"d {name} / d error"), Interval("share [95 %]")]
+        columns += [Text(f"d {name} / d error"), Interval("share [interval]")]
     wide, long = [], []
     for field in study.fields:
         error_unit, error_size = readable(study.unit(field))
@@ -217,8 +217,7 @@ def influence_tables(answer: Answer) -> list[Table]:
         wide.append(row)
     titles = ("error", "response", "slope", "unit of the slope", "share of variance")
     ends = ("share, lower end", "share, upper end", "slope of a unit, rms")
-    sums = ", ".join(f"{name} {together_text(found[name])}" for name in study.requirements)
-    note = f"{UNMOVED_MEANS}\n{SHARE_MEANS}\nbefore scaling: {sums}; more than 100 % where errors act together"
+    note = "\n".join(filter(None, [UNMOVED_MEANS, SHARE_MEANS, together_text(found)]))
     return [
         Table("influence", [Column(title) for title in (*titles, *ends)], long, on=IN_FILE),
         Table("influence", columns, wide, note=note, on=NOT_IN_FILE),

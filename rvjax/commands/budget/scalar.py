@@ -89,10 +89,10 @@ def report_on_scalar(budget: ScalarBudget, study: Study) -> Report:
         f"Error budget: {budget.output}, {output.meaning}",
         f"{found.units} units{excluded}: mean {found.mean / size:.4g} {unit}, "
         f"standard deviation {found.sd / size:.4g} {unit}",
-        f"{SHARE_MEANS}; before scaling: {together_text(found)}, more than 100 % where errors act together",
-        f"slope: mean over the units, to one element of the error, root mean square over its elements; {UNMOVED_MEANS}",
+        "slope: derivative to one element of the error, mean over the units, root mean square over its elements",
+        *filter(None, [UNMOVED_MEANS, SHARE_MEANS, together_text({budget.output: found})]),
     ]
-    columns = [Text("owner"), Text("of"), Number(f"sd {unit}", form=".3g"), Interval("share [95 %]"), Text("slope")]
+    columns = [Text("owner"), Text("of"), Number(f"sd {unit}", form=".3g"), Interval("share [interval]"), Text("slope")]
     data = {"study": study.name, "seed": study.seed, "versions": versions(), "unit": output.unit}
     return Report(
         title=f"{study.name}: error budget of {budget.output}",
