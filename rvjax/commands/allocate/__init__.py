@@ -17,3 +17,7 @@ from rvjax.commands.allocate.report import (
     tolerance_tables as tolerance_tables,
     tolerance_text as tolerance_text,
 )
+from rvjax.commands.allocate.whole import (
+    unlimited_tables as unlimited_tables,
+    unlimited_texts as unlimited_texts,
+)

@@ -1,5 +1,6 @@
 """Result of a study: the allocation, sample units, shares and cost curve."""
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -8,7 +9,7 @@ import numpy as np
 
 from rvjax._ground.progress import begin, progress_bar
 from rvjax.commands.allocate.forecast import CERTIFYING, PRICING, SAMPLING, SEARCHING, shown_values, targets
-from rvjax.commands.allocate.whole import Whole, whole
+from rvjax.commands.allocate.whole import Unlimited, Whole, not_limited, unlimited, whole
 from rvjax.commands.curves import begin_curves, curves_of
 from rvjax.population import Population, root_key
 from rvjax.records import PyTree
@@ -89,6 +90,7 @@ class Answer:
             itself included if all targets are equal; empty if the study is infeasible or requires no share
             of units.
         whole: allocated units on the whole reducer, or None where the study has no such outputs.
+        unlimited: {output that a loaded study does not limit: what it is of the allocated units}.
     """
 
     study: Study
@@ -98,6 +100,7 @@ class Answer:
     after: Side
     cost_curve: list[tuple[float, float]]
     whole: Whole | None = None
+    unlimited: Mapping[str, Unlimited] = dataclasses.field(default_factory=dict)
 
 
 def answer(study: Study, *, progress: bool = False, memo: Memo | None = None, measure: bool = True) -> Answer:
@@ -107,13 +110,16 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None, me
         study: solved study.
         progress: show progress bars.
         memo: store of intermediate results, from which an interrupted run resumes.
-        measure: measure the allocated units of a four-bar or lost-motion study on the whole reducer.
+        measure: measure the allocated units of a four-bar or lost-motion study on the whole reducer, and what a
+            loaded study does not limit.
     """
     response = study.response()
     begin(SEARCHING)
     with progress_bar(progress, None, "checked", "unit") as advance:  # compiles the gradients: the longest wait
         if response.costly:
             begin_programs(response, Population.of(study.tolerances), slopes=True)
+            if measure and (others := not_limited(study)):
+                begin_programs(others, Population.of(study.tolerances))
         else:
             _begin_programs(study, response)
         status_of = status_without_errors if response.costly else nominal_status
@@ -168,6 +174,7 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None, me
         after=sides[1],
         cost_curve=_cost_curve(study, response, allocation, memo, solved),
         whole=whole(study, allocation.tolerances) if measure else None,
+        unlimited=unlimited(study, allocation.tolerances) if measure else {},
     )
 
 

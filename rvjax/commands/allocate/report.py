@@ -12,7 +12,7 @@ from rvjax.commands.allocate import kept
 from rvjax.commands.allocate.answer import Answer
 from rvjax.commands.allocate.figures import figures
 from rvjax.commands.allocate.inputs import Inputs
-from rvjax.commands.allocate.whole import whole_text
+from rvjax.commands.allocate.whole import unlimited_tables, unlimited_texts, whole_text
 from rvjax.commands.cells import (
     SHARE_MEANS,
     UNMOVED_MEANS,
@@ -84,6 +84,7 @@ def report_on(answer: Answer) -> Report:
             *tolerance_tables(answer),
             *influence_tables(answer),
             requirement_table(answer),
+            *unlimited_tables(answer.unlimited, answer.study),
             Note("\n".join([fresh, *limits_of_the_answer(answer)])),
             *figures(answer),
         ),
@@ -107,6 +108,7 @@ def headline(answer: Answer) -> str:
         lines.append(f"cost {allocation.start_cost:.3f} -> {allocation.cost:.3f} ({change:+.1f} %)")
         if graded := allocation.graded:
             lines.append(f"with ISO 286 grades: cost {graded.cost:.3f} ({graded.status})")
+        lines += unlimited_texts(answer.unlimited, study)
     else:
         lines.append("No tolerances within the process ranges were found to meet the requirements; at the finest ones")
         for name, shortfall in allocation.shortfall.items():
@@ -336,5 +338,6 @@ def _data(answer: Answer) -> dict[str, object]:
         "certificate_before": answer.certificate_before,
         "graded": {"status": graded.status, "cost": graded.cost} if graded else None,
         **({} if answer.whole is None else {"whole": answer.whole}),
+        **({"unlimited": answer.unlimited} if answer.unlimited else {}),
         "cost_curve": answer.cost_curve,
     }

@@ -21,6 +21,8 @@ from rvjax.commands.allocate import (
     shortfall_text,
     shown_values,
     tolerance_tables,
+    unlimited_tables,
+    unlimited_texts,
 )
 from rvjax.commands.budget import section_on
 from rvjax.commands.cells import share
@@ -108,7 +110,7 @@ def page_of(found: Shown, source: str, *, date: str = "") -> str:
             "about": {name: text for name, text in about.items() if text},
             "intro": leading_comment(study.text),
             "code": answer.allocation.status,
-            "said": " ".join(_shortfalls(answer)),
+            "said": " ".join([*_shortfalls(answer), *unlimited_texts(answer.unlimited, study)]),
             "boxes": _boxes(answer),
             "caveats": limits_of_the_answer(answer),
             "origin": {"command": f"rvjax report {shlex.quote(source)}", "seed": seeds, "units": units},
@@ -176,8 +178,9 @@ def _requirements(answer: Answer, drawn: dict[str, Figure]) -> Section:
         "nearer limit/(3 sd). They give the share of rejects for a normal distribution only; the yield holds for any."
     )
     histograms = tuple(drawn[f"histogram_{name}"] for name in answer.study.requirements)
+    others = unlimited_tables(answer.unlimited, answer.study)
     parts = (requirement_table(answer), Note(certified), _capability(answer), Note(capability))
-    return Section("Requirements", (*parts, Section("", histograms, style="pair")))
+    return Section("Requirements", (*parts, *others, Section("", histograms, style="pair")))
 
 
 def _capability(answer: Answer) -> Table:
