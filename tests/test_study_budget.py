@@ -238,6 +238,14 @@ def test_which_studies_have_a_budget(question, monkeypatch):
     assert found == ["rv-40e", "rv-40e-whole", None, "x", None]
 
 
+def test_only_values_of_a_curve_have_its_budget():
+    """Others have a budget of their own: in the study of the loaded reducer all read the equilibrium of the curve."""
+    loaded, four_bar = (study.load(name, solve=False) for name in ("rv-40e-whole", "rv-40e"))
+    of_curve = [name for name in loaded.requirements if budget.curve_of(loaded, name) is not None]
+    assert of_curve == ["loaded_transmission_error"] and budget.curve_of(loaded, None) is not None
+    assert [name for name in four_bar.requirements if budget.curve_of(four_bar, name)] == ["transmission_error"]
+
+
 @pytest.mark.parametrize(
     ("old", "new", "options", "words"),
     [

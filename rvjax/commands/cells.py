@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 from rvjax.outputs import Output
 from rvjax.render import Quantity
 from rvjax.study import Study
 from rvjax.tolerances import Estimate, Influence, Limits, Statistics, Tolerance, Verdict
-from rvjax.units import readable
+from rvjax.units import readable, rpm, suited
 
 
 def limits_of(tolerance: Tolerance, unit: str) -> Quantity:
@@ -108,12 +109,54 @@ def together_text(influence: Mapping[str, Influence]) -> str:
     return f"errors act together; before scaling the shares sum to: {said}" if said else ""
 
 
+def price_text(study: Study, prices: Mapping[str, float]) -> str:
+    """What shadow prices mean, such as "100 h less life saves 0.98"; "" if no limit binds.
+
+    Args:
+        study: with the limits.
+        prices: change of the cost if both limits of a response move outwards, per SI unit, by response.
+    """
+    said = []
+    for name, requirement in study.requirements.items():
+        unit, size = study.output(name).shown
+        ends = {"more": requirement.upper, "less": requirement.lower}
+        limited = {way: abs(limit) / size for way, limit in ends.items() if math.isfinite(limit)}
+        if not prices[name] < 0 or not limited:
+            continue
+        largest = max(limited.values())
+        step = 10.0 ** math.floor(math.log10(largest / 10)) if largest > 0 else 1.0
+        saved = f"saves {-prices[name] * step * size:.3g}"
+        if len(limited) > 1:
+            said.append(f"{step:g} {unit} wider limits of {requirement.prefix}{name} save{saved[5:]}")
+        else:
+            said.append(f"{step:g} {unit} {next(iter(limited))} {requirement.prefix}{name} {saved}")
+    return f"shadow price: {'; '.join(said)}" if said else ""
+
+
 def failures_text(found: Statistics) -> str:
     """Text on failed units: number, statuses, and one unit of each status."""
     if not found.failed:
         return "0 failed"
     kinds = (f"{count:,} {name} (unit {found.examples[name]})" for name, count in found.failures.items())
     return f"{found.failed:,} failed, each a reject in every yield: {', '.join(kinds)}"
+
+
+def condition_text(value: Any, about: Mapping[str, Any]) -> str:
+    """A condition in units that a person reads; rows of a table such as "784 N m, 15 rpm, 1 h".
+
+    Args:
+        value: SI.
+        about: metadata of its field, see `rvjax.outputs.condition`.
+    """
+    if about["columns"]:
+        rows = (zip(row, about["columns"].values()) for row in value)
+        return "; ".join(", ".join(_suited(number, unit) for number, unit in row) for row in rows)
+    return str(value) if about["unit"] in (None, "-") else _suited(value, about["unit"])
+
+
+def _suited(value: float, unit: str) -> str:
+    name, size = ("rpm", rpm) if unit == "rad/s" else suited(value, unit) if value else (unit, 1.0)
+    return f"{value / size:.4g} {name}"
 
 
 def limits_data(tolerance: Tolerance) -> dict[str, object]:

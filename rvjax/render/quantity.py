@@ -1,6 +1,7 @@
 """Quantities: numbers with an SI unit, and the text that a person reads of them."""
 
 import math
+import re
 from dataclasses import dataclass
 
 from rvjax._ground.frames import Interval
@@ -65,6 +66,15 @@ class Quantity:
         if self.lower is None or self.upper is None:
             return said
         return f"{said} [{self.lower / size:{form}}, {self.upper / size:{form}}]"
+
+
+def micro(text: str) -> str:
+    """Text with the sign of a micrometre and a microsecond, as pages and plots write it.
+
+    Args:
+        text: with "um" or "us".
+    """
+    return re.sub(r"(?<![A-Za-z])u(?=[ms]\b)", "µ", text)
 
 
 def number(value: Scalar | None, size: float = 1.0) -> float | None:

@@ -23,6 +23,7 @@ from rvjax.commands.cells import (
     limit_text,
     limits_data,
     limits_of,
+    price_text,
     share,
     slope_text,
     together_text,
@@ -303,7 +304,7 @@ def requirement_table(answer: Answer) -> Table:
         row += [requirement.text(), figure_unit, *cells, verdicts[1].met, (allocation.multipliers[name], output)]
         row += [evaluated(graded.certificate.verdicts[name], output)] if graded else []
         rows.append([*row, verdicts[1].met])
-    return Table("requirements", columns, rows)
+    return Table("requirements", columns, rows, note=price_text(study, allocation.multipliers))
 
 
 def _data(answer: Answer) -> dict[str, object]:

@@ -25,7 +25,7 @@ from rvjax.commands.allocate import (
     unlimited_texts,
 )
 from rvjax.commands.budget import section_on
-from rvjax.commands.cells import share
+from rvjax.commands.cells import condition_text, share
 from rvjax.commands.report import live
 from rvjax.commands.report.bearings import bearing_section
 from rvjax.commands.report.compute import Shown
@@ -275,20 +275,14 @@ def _levels(answer: Answer) -> Section:
         rows.append([Titled(name, study.output(name).meaning), choice.level, wanted, bound, spent, choice.why])
     short = [Text(title) for title in ("required accuracy", "its error", "time of a unit")]
     columns = [Text("response"), Text("level", wraps=True), *short, Text("why", wraps=True)]
+    about = {f.name: f.metadata for f in dataclasses.fields(study.conditions)}
     conditions = ", ".join(
-        f"{_words(key)} = {_plain(value)}"
+        f"{_words(key)} = {condition_text(value, about[key])}"
         for key in models.kind(study.design).conditions_of(outputs)
         if (value := getattr(study.conditions, key)) is not None
     )
     text = (
         "A level is one way to compute a response. Errors and times are measured; the table comes with "
-        f"rvjax. Times were measured on the computer of the table.\nConditions, SI: {conditions}."
+        f"rvjax. Times were measured on the computer of the table.\nConditions: {conditions}."
     )
     return Section("Accuracy of the computation", (Table("levels", columns, rows), Note(text)))
-
-
-def _plain(value: object) -> str:
-    """A condition as text: a table by its rows."""
-    if isinstance(value, tuple):
-        return "; ".join(_plain(row) if isinstance(row, tuple) else f"{row:.4g}" for row in value)
-    return str(value)
