@@ -110,7 +110,7 @@ def together_text(influence: Mapping[str, Influence]) -> str:
 
 
 def price_text(study: Study, prices: Mapping[str, float]) -> str:
-    """What shadow prices mean, such as "100 h less life saves 0.98"; "" if no limit binds.
+    """Text on the meaning of shadow prices, such as "100 h less life saves 0.98"; "" if no limit binds.
 
     Args:
         study: with the limits.

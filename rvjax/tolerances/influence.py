@@ -33,7 +33,7 @@ _CHANCE = 8.0  # square of three standard errors, less 1: with a smaller mean sl
 
 @dataclasses.dataclass(frozen=True)
 class Influence:
-    """What each error does to one response.
+    """Effects of the errors on one response.
 
     Attributes:
         shares: {field: part of its total effect in the sum of all, with a 95 % interval}; they sum to 1.

@@ -90,7 +90,7 @@ def not_limited(study: Study) -> Response | None:
 
 
 def unlimited(study: Study, tolerances: Any) -> dict[str, Unlimited]:
-    """What a loaded study does not limit, measured on units with some tolerances.
+    """Measure the outputs that a loaded study does not limit, on units with some tolerances.
 
     Args:
         study: with the design and the conditions.
@@ -321,7 +321,7 @@ def unlimited_texts(found: Mapping[str, Unlimited], study: Study) -> list[str]:
 
 
 def unlimited_tables(found: Mapping[str, Unlimited], study: Study) -> list[Table]:
-    """What a loaded study does not limit, without errors and at `SHARE` of the units, next to a usual limit.
+    """Outputs without a limit: value without errors and at `SHARE` of the units, next to a usual limit.
 
     Args:
         found: what was measured.

@@ -116,7 +116,7 @@ def _orders(budget: Budget) -> Table:
             row += [np.sqrt(budget.total[load][k]), np.sqrt(budget.alike[load][k])]
             row.append(owner if owned and owned[owner] > 0 else None)
         rows.append(row)
-    note = "rms: over the units, without what is in every unit: that of the design and its load; owner: largest cause"
+    note = "rms: over the units, without what is in every unit: that of the design and its load"
     return Table("orders", columns, rows, note=note, on=EVERYWHERE - {CSV})
 
 
