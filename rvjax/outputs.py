@@ -150,6 +150,19 @@ class Output:
 
 
 @dataclass(frozen=True)
+class Usual:
+    """Usual limit of an output: a study that does not limit the output is compared with it.
+
+    Attributes:
+        limits: design -> (lower, upper) limit, SI, infinite where there is none; None where the design lacks parts.
+        meaning: where the limit comes from, one line.
+    """
+
+    limits: Callable[[Any], tuple[float, float] | None]
+    meaning: str
+
+
+@dataclass(frozen=True)
 class Curve:
     """Curve over one cycle of one unit, for plots.
 
@@ -161,6 +174,7 @@ class Curve:
             they mean nothing.
         source: a result that outputs read too, and what of it are the values; None where there is none.
         angles: (conditions) -> angle in rad (n,), where there is a source.
+        outputs: values of the curve; their error budget is that of the curve. Empty: all outputs of the model.
     """
 
     title: str
@@ -169,6 +183,7 @@ class Curve:
     turns: Callable[[Any, Any], float] | None = None
     source: tuple[Source, Callable[[Any], Any]] | None = None
     angles: Callable[[Any], Any] | None = None
+    outputs: tuple[str, ...] = ()
 
 
 def _once(_: object) -> int:
@@ -292,6 +307,7 @@ class Description:
         costly: whether a unit takes so long that an allocation solves only the units that decide.
         parts: optional parts of a design that no other model reads.
         joints: results, its own and those of models above it, that are cheaper computed together.
+        usual: usual limits by output, also those of outputs of models above it.
     """
 
     name: str
@@ -306,3 +322,4 @@ class Description:
     costly: bool = False
     parts: tuple[str, ...] = ()
     joints: tuple[Joint, ...] = ()
+    usual: Mapping[str, Usual] = dataclasses.field(default_factory=dict)

@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 import json
+import math
 import re
 import types
 from pathlib import Path
@@ -24,7 +25,9 @@ from rvjax.commands.allocate.forecast import (
     SEARCHING,
     solved_units,
 )
+from rvjax.commands.budget.scalar import scalar_budget
 from rvjax.render import Report, folders, results_folder, write_files
+from rvjax.units import arcmin, um
 
 pytestmark = pytest.mark.usefixtures("answers")
 
@@ -77,9 +80,16 @@ def test_allocate_writes_tables_and_pictures(answered):
     influence = table("influence", "error", "response")
     assert influence["disc_runout", "transmission_error"]["slope"] == ""  # no slope, which is not zero
     assert float(influence["disc_runout", "lost_motion"]["slope"]) > 0
-    row = influence["crank_phase", "transmission_error"]
-    assert row["unit of the slope"] == "arcmin/arcmin"
-    assert float(row["slope"]) == pytest.approx(result["sensitivities"]["transmission_error"]["crank_phase"])
+    assert influence["crank_phase", "transmission_error"]["unit of the slope"] == "arcmin/arcmin"
+    row = influence["bearing_clearance", "transmission_error"]
+    found = result["influence"]["transmission_error"]
+    assert float(row["slope"]) == pytest.approx(found["slopes"]["bearing_clearance"] * um / arcmin)
+    row, part = influence["crank_eccentricity", "transmission_error"], found["shares"]["crank_eccentricity"]
+    assert row["slope"] == "" and float(row["slope of a unit, rms"]) > 0  # peak to peak: both ways alike
+    assert [float(row[f"share{end}"]) for end in (" of variance", ", lower end", ", upper end")] == pytest.approx(
+        [part[end] for end in ("value", "lower", "upper")]
+    )
+    assert 0 < part["lower"] < result["shares"]["after"]["transmission_error"]["crank_eccentricity"] < part["upper"]
     assert sum(float(influence[e, "misfit"]["share of variance"] or 0) for (e,) in rows) == pytest.approx(1)
     row = table("requirements", "requirement")["lost_motion",]
     assert [float(row[key]) for key in ("lower limit", "upper limit")] == [-1, 1] and row["unit"] == "arcmin"
@@ -95,7 +105,7 @@ def test_allocate_writes_tables_and_pictures(answered):
         f"{UNITS:,} independent units, 0 failed",
         "joint yield: 99.",
         "no joint_target set",
-        "no slope: the model ignores this error",
+        "no slope: raising and lowering the error act alike",
         "Negative lost_motion in",
         "Not modelled: pins, flanks",
     ):
@@ -105,6 +115,17 @@ def test_allocate_writes_tables_and_pictures(answered):
         picture = matplotlib.image.imread(out / f"{name}.png")
         assert picture.shape[1] > 800 and picture.std() > 0.02  # something is drawn
     assert sorted(p.name for p in out.parent.iterdir()) == ["out", "small.toml"]  # no scratch folder is left
+
+
+def test_the_influences_are_those_of_the_error_budget(answers, answered):
+    """Of the same tolerances, from other units: apart by at most four of both standard errors."""
+    found = answers[SMALL]
+    asked = dataclasses.replace(found.study, tolerances=found.allocation.tolerances)
+    budget = scalar_budget(asked, "misfit", samples=256).influence
+    for field, share in found.after.influence["misfit"].shares.items():
+        other = budget.shares[field]
+        assert abs(share.value - other.value) <= 4 * math.hypot(share.error, other.error), field
+    assert sum(share.value > 0.01 for share in budget.shares.values()) == 4
 
 
 def test_allocate_tells_machines_what_it_wrote(answered, here, monkeypatch, capsys):
@@ -123,7 +144,7 @@ def test_an_answer_is_read_in_the_unit_that_was_asked(answers, answered, here):
     found = dataclasses.replace(old, study=rvjax.study.parse_study(asked, name="x", solve=False))
     before, after = report_on(old).text(), report_on(found).text()
     assert "<= 60 arcsec" in after and "/arcsec" in after and "<= 60 arcsec" not in before
-    slopes = [float(re.search(r"crank_phase +([\d.]+) arc", words).group(1)) for words in (before, after)]
+    slopes = [float(re.search(r"bearing_clearance +([\d.]+) arc", words).group(1)) for words in (before, after)]
     assert slopes[1] == pytest.approx(60 * slopes[0], abs=0.006)
 
 

@@ -23,6 +23,7 @@ from rvjax.commands.report.worst_units import WorstUnit, rows_of, worst_units
 from rvjax.population.sample_statistics import CentralMoments, Sampled
 from rvjax.render import write_files
 from rvjax.study.study import About
+from rvjax.tolerances import influences
 
 pytestmark = pytest.mark.usefixtures("answers")
 
@@ -175,8 +176,9 @@ def test_an_answer_whose_units_all_fail_is_written_and_says_so(answers, answered
     refused = dict(feasible=False, status="INFEASIBLE", shortfall=dict.fromkeys(old.allocation.shortfall, math.inf))
     allocation = dataclasses.replace(old.allocation, **refused, graded=None)
     failed = {name: np.full_like(values, np.nan) for name, values in old.after.values.items()}
-    unknown = {name: dict.fromkeys(of_field, math.nan) for name, of_field in old.after.shares.items()}
-    after = dataclasses.replace(old.after, values=failed, shares=unknown, sensitivities=unknown)
+    response = lambda errors: dict.fromkeys(old.after.influence, errors.pin_radius * math.nan)  # noqa: E731
+    unknown = influences(response, old.after.tolerances, units=16, chunk=16)
+    after = dataclasses.replace(old.after, values=failed, influence=unknown)
     new = dataclasses.replace(old, allocation=allocation, after=after, cost_curve=[])
     write_files(report_on(new).folder(), here / "failed")
     result = json.loads((here / "failed" / "result.json").read_text())

@@ -55,6 +55,16 @@ def test_a_change_that_rounds_to_nothing_has_no_sign():
     assert told == ["0.0", "0.0", "-1.3", "+1250.0"]
 
 
+def test_a_number_that_a_slider_does_not_take_is_said():
+    told = in_node("return input.map((wanted) => Live.taken(wanted, 1, 20, (x) => `${x} µm`));", 5, 25, 0.5, None)
+    assert told == [
+        {"value": 5, "said": ""},
+        {"value": 20, "said": "25 µm is outside 1 µm to 20 µm: set to 20 µm"},
+        {"value": 1, "said": "0.5 µm is outside 1 µm to 20 µm: set to 1 µm"},
+        {"value": None, "said": "no number: not changed"},
+    ]
+
+
 AT = {"pin_radius": (5e-6, 1e-6), "shift_modification": (2e-6, 3e-6), "pin_hole_clearance": (2e-6, 1e-6)}
 MOVE = """
 const [raw, moved, limits] = input, data = Live.opened(raw), at = Live.begin(data, "centre");
@@ -208,9 +218,17 @@ addEventListener("load", async () => {
   told.computed = Number(section.dataset.computed);
   told.study = section.querySelector("textarea").value;
   told.bars = section.querySelectorAll("svg .bars[d^=M]").length;
+  const first = section.querySelector("[data-live=half-widths] .live-row");
+  const exact = first.querySelector("[type=number]");
+  exact.value = 1e6;
+  exact.dispatchEvent(new Event("change"));
+  await settled();
+  told.refused = first.querySelector(".far").textContent;
+  told.clamped = exact.valueAsNumber === Number(first.querySelector("[type=range]").max);
   section.querySelector("[data-begin=centre]").click();
   await settled();
   told.back = figure();
+  told.forgotten = first.querySelector(".far").textContent;
   told.wide = document.documentElement.scrollWidth - innerWidth;
   told.outside = performance.getEntriesByType("resource").map((r) => r.name).filter((n) => !n.startsWith("data:"));
   await new Promise((done) => setTimeout(done, 700));
@@ -245,6 +263,8 @@ def test_the_sliders_in_a_browser(answered, tmp_path):
     assert seen["region"].startswith("Outside the region")
     assert "shift modification half-width" in seen["region"] and "disc runout half-width" in seen["region"]
     assert "bearing clearance: below zero" in seen["region"]
+    assert seen["refused"].startswith("1000000 µm is outside ") and "set to" in seen["refused"]
+    assert seen["clamped"] and seen["forgotten"] == ""
     assert seen["computed"] > 0 and seen["bars"] == 1
     assert tomllib.loads(seen["study"])["tolerances"]["pin_radius"] != tomllib.loads(PLAY)["tolerances"]["pin_radius"]
     assert seen["wide"] <= 0 and seen["outside"] == []
@@ -265,10 +285,16 @@ def test_the_line_on_the_whole_reducer_is_stored_with_its_result(answered, tmp_p
     line = whole.Whole(
         share, 512, {"lost_motion": 0.91}, {"lost_motion": 1e-4}, {"lost_motion": "bench_lost_motion"}, 2, ()
     )
-    told = dataclasses.replace(answer, whole=line)
+    beyond = whole.Unlimited(1455e6, share, -np.inf, 2800e6, share, "static safety 2", 512, 0)
+    told = dataclasses.replace(answer, whole=line, unlimited={"turn_pin_pressure": beyond})
     (tmp_path / kept.FILE).write_bytes(kept.stored(told))
     loaded = tolerances.load(tmp_path / kept.FILE)
     assert whole.Whole(**loaded["whole"]) == line
+    assert whole.Unlimited(**loaded["unlimited"]["turn_pin_pressure"]) == beyond
     report = report_on(told)
+    assert "9 % of the units miss a usual limit, <= 2800 MPa (static safety 2)" in report.text()
+    page = page_of(Shown(told), "play.toml")
+    assert "9 % of the units miss a usual limit" in page and "1455 MPa" in page
+    assert report.data["unlimited"] == told.unlimited and "unlimited" not in report_on(answer).data
     assert "whole reducer 91.000 % [88.000, 94.000]" in report.text() and report.data["whole"] == line
     assert "2 failed" in report.text() and "On the whole" not in report_on(answer).text()

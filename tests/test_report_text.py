@@ -3,23 +3,28 @@
 Oracle: the same numbers converted by hand.
 """
 
+import dataclasses
 import math
 from types import SimpleNamespace
 
 import jax.numpy as jnp
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
 from rvjax import Status
 from rvjax.commands import allocate
 from rvjax.commands.allocate.report import _Price
-from rvjax.commands.cells import evaluated, failures_text, share
+from rvjax.commands.cells import condition_text, evaluated, failures_text, price_text, share
 from rvjax.commands.montecarlo import report_on
+from rvjax.commands.report.worst_units import against_limit
+from rvjax.outputs import Output
 from rvjax.population.estimates import Estimate
+from rvjax.render import Figure
 from rvjax.study import load
 from rvjax.study.study import About
 from rvjax.tolerances import Outcome, Requirement, monte_carlo
-from rvjax.units import arcmin, um
+from rvjax.units import arcmin, rpm, um
 
 
 def allocation(**changes):
@@ -33,13 +38,64 @@ def headline(**changes):
     study = SimpleNamespace(
         name="s", about=About(), joint_target=target, output=lambda name: SimpleNamespace(shown=("arcmin", arcmin))
     )
-    return allocate.headline(SimpleNamespace(study=study, allocation=allocation(**changes))).split("\n")
+    found = SimpleNamespace(study=study, allocation=allocation(**changes), unlimited={})
+    return allocate.headline(found).split("\n")
 
 
 def test_a_price_that_no_search_found_is_unknown():
     error = SimpleNamespace(shown=("arcmin", arcmin))
     said = [_Price("shadow price").text((price, error)) for price in (math.nan, 0.0, -2 / arcmin)]
     assert said == ["unknown", "not binding", "-2 /arcmin"]
+
+
+def test_a_price_says_what_it_means():
+    """0.0098 an hour is 0.98 for 100 h; a limit on both sides moves on both; one that does not bind has no price."""
+    study = load("rv-40e-whole", solve=False)
+    prices = dict.fromkeys(study.requirements, 0.0)
+    assert price_text(study, prices) == ""
+    prices |= {"life": -0.0098 / 3600, "turn_pin_pressure": -0.0074e-6, "misfit": math.nan}
+    saved = "100 h less life saves 0.98; 100 MPa more turn_pin_pressure saves 0.74"
+    assert price_text(study, prices) == f"shadow price: {saved}"
+    two = Requirement(lower=-1 * arcmin, upper=1 * arcmin)
+    both = SimpleNamespace(
+        requirements={"lost_motion": two}, output=lambda name: SimpleNamespace(shown=("arcmin", arcmin))
+    )
+    said = price_text(both, {"lost_motion": -15.6 / arcmin})
+    assert said == "shadow price: 0.1 arcmin wider limits of lost_motion save 1.56"
+
+
+def test_a_worst_unit_says_its_value_and_the_limit():
+    output = Output("s", "life", lambda *_: (0.0, 0), read_in="h")
+    life = Requirement(lower=6000 * 3600.0)
+    assert against_limit(4780 * 3600.0, life, output) == "4,780 h, below 6000 h"
+    assert against_limit(6020 * 3600.0, life, output) == "6,020 h, limit 6000 h"
+    both = Requirement(lower=-1 * arcmin, upper=1 * arcmin)
+    error = Output("rad", "error", lambda *_: (0.0, 0))
+    assert against_limit(1.02 * arcmin, both, error) == "1.02 arcmin, above 1 arcmin"
+    assert against_limit(-0.9 * arcmin, both, error) == "-0.9 arcmin, limit -1 arcmin"
+
+
+def test_conditions_are_read_in_units():
+    given = load("rv-40e-whole", solve=False).conditions
+    about = {f.name: f.metadata for f in dataclasses.fields(given)}
+    rows = ((784.0, 15 * rpm, 3600.0), (0.0, 0.0, 60.0))
+    assert condition_text(rows, about["duty"]) == "784 N m, 15 rpm, 1 h; 0 N m, 0 rpm, 60 s"
+    assert condition_text(given.output_torque, about["output_torque"]) == "412 N m"
+    assert condition_text(24, about["samples"]) == "24" and condition_text("basic", about["life_method"]) == "basic"
+
+
+def test_plots_spell_units_as_the_page():
+    def draw():
+        axes = plt.subplots()[1]
+        axes.set(xlabel="error (um)", ylabel="humus (arcmin/um)", title="0.3 um of 1 us")
+        drawn.append(axes)
+        return axes
+
+    drawn = []
+    Figure("x", "a plot", draw).content("svg")
+    (axes,) = drawn
+    assert axes.get_xlabel() == "error (µm)" and axes.get_title() == "0.3 µm of 1 µs"
+    assert axes.get_ylabel() == "humus (arcmin/µm)"
 
 
 def test_a_yield_has_both_ends_of_its_interval():

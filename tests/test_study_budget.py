@@ -22,6 +22,7 @@ from rvjax.errors import STAGES
 from rvjax.population import Population, Tolerance, drawn, root_key
 from rvjax.render import Note, Table, write_files
 from rvjax.study import parse_study
+from rvjax.tolerances import Estimate, Influence
 from rvjax.units import arcsec
 
 TEXT = """
@@ -237,6 +238,14 @@ def test_which_studies_have_a_budget(question, monkeypatch):
     assert found == ["rv-40e", "rv-40e-whole", None, "x", None]
 
 
+def test_only_values_of_a_curve_have_its_budget():
+    """Others have a budget of their own: in the study of the loaded reducer all read the equilibrium of the curve."""
+    loaded, four_bar = (study.load(name, solve=False) for name in ("rv-40e-whole", "rv-40e"))
+    of_curve = [name for name in loaded.requirements if budget.curve_of(loaded, name) is not None]
+    assert of_curve == ["loaded_transmission_error"] and budget.curve_of(loaded, None) is not None
+    assert [name for name in four_bar.requirements if budget.curve_of(four_bar, name)] == ["transmission_error"]
+
+
 @pytest.mark.parametrize(
     ("old", "new", "options", "words"),
     [
@@ -253,21 +262,25 @@ def test_studies_without_a_budget_raise_an_error(old, new, options, words):
 
 def test_a_response_without_a_curve_has_shares_and_slopes(question):
     """The lost motion is a sum: of each error the variance is that of its elements times the square of the slope."""
-    found = scalar.scalar_budget(question, "lost_motion", samples=512)
+    found = scalar.scalar_budget(question, "lost_motion", samples=512).influence
     population = Population.of(question.tolerances)
     for name, tolerance in population.active.items():
         _, variance, *_ = (np.broadcast_to(moment, tolerance.shape) for moment in tolerance.moments())
-        expected = found.slope[name] ** 2 * float(np.sum(variance))
-        assert abs(found.variance[name] - expected) <= 4 * found.error[name] + 1e-9 * found.sd**2, name
-    assert sum(found.variance.values()) == pytest.approx(found.sd**2, rel=0.15) and found.failed == 0
+        expected = found.slopes[name] ** 2 * float(np.sum(variance))
+        assert found.variance[name] == pytest.approx(expected, abs=1e-9 * found.sd**2), name
+    assert sum(found.variance.values()) == pytest.approx(found.sd**2) and found.failed == 0
 
 
 def test_slopes_of_a_life_are_hours_per_micrometre():
     asked = study.load("rv-40e-whole", solve=False)
-    numbers = dict.fromkeys(Population.of(asked.tolerances).active, 3600.0**2)
-    made = scalar.ScalarBudget(
-        "life", 6000 * 3600.0, 3600.0, numbers, numbers, (0.0, 0.0), dict.fromkeys(numbers, 250 * 3600 / 1e-6),
-        dict.fromkeys(numbers, "disc"), 64, 0,
+    fields = Population.of(asked.tolerances).active
+    whole, slopes = Estimate(1.0, 0.0, 1.0, 1.0), dict.fromkeys(fields, 250 * 3600 / 1e-6)
+    part = Estimate(1 / len(fields), 0.01, 0.02, 0.08)
+    found = Influence(
+        dict.fromkeys(fields, part), slopes, slopes, dict.fromkeys(fields, 3600.0**2), dict.fromkeys(fields, 1.0),
+        whole, 6000 * 3600.0, 3600.0, 64, 0,
     )  # fmt: skip
+    made = scalar.ScalarBudget("life", found, dict.fromkeys(fields, "disc"))
     text = scalar.report_on_scalar(made, asked).text()
-    assert "mean 6000 h, standard deviation 1 h" in text and "250 h/um" in text and "sd h" in text
+    assert "mean 6000 h, standard deviation 1 h" in text and " 250 h/um" in text and "sd h" in text
+    assert "5.0 % [2.0, 8.0]" in text and "act together" not in text

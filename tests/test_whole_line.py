@@ -1,5 +1,6 @@
 """The measured line on the whole reducer: its interval covers the truth, and it is narrower by a good control."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import jax.numpy as jnp
@@ -7,10 +8,11 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from rvjax import models
 from rvjax.commands.allocate import whole
-from rvjax.commands.allocate.whole import whole_text
+from rvjax.commands.allocate.whole import unlimited_tables, unlimited_texts, whole_text
 from rvjax.population import wilson
-from rvjax.study import parse_study
+from rvjax.study import load, parse_study
 
 UNITS, MANY = 256, 1024
 LOADED = """[design]
@@ -119,6 +121,69 @@ def test_the_line_names_what_was_measured_and_what_was_not(study, monkeypatch):
     text = whole_text(found, study)
     assert text.startswith("On the whole reducer ") and "disc_runout (it has no place)" in text
     assert "loaded_transmission_error" in text and "arcmin" in text
+
+
+DUTY = '[[duty]]\noutput_torque = "3136 N m"\noutput_speed = "15 rpm"\ntime = "1 h"\n'
+
+
+def loaded_study(*changes):
+    text = LOADED.replace("requirement.transmission_error", "requirement.loaded_transmission_error")
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    return parse_study(text, name="loaded", solve=False)
+
+
+def test_what_a_loaded_study_does_not_limit_is_what_its_design_and_conditions_can_give():
+    start = "[requirement.misfit]"
+    pressure = (start, '[requirement.turn_pin_pressure]\nupper = "3000 MPa"\n' + start)
+    assert set(whole.not_limited(loaded_study()).outputs) == {"turn_pin_pressure", "arm_bearing_force"}
+    assert whole.not_limited(loaded_study(pressure)).outputs == ("arm_bearing_force",)
+    with_duty = loaded_study((start, DUTY + start))
+    assert set(whole.not_limited(with_duty).outputs) == {"turn_pin_pressure", "arm_bearing_force", "life"}
+    bare = with_duty.design.replace(bearings=None)
+    assert whole.not_limited(dataclasses.replace(with_duty, design=bare)).outputs == ("turn_pin_pressure",)
+    assert whole.not_limited(study_of("rv-40e-whole")) is None and whole.not_limited(study_of("rv-40e")) is None
+
+
+def study_of(name):
+    return load(name, solve=False)
+
+
+def test_usual_limits_are_those_of_the_embedded_study():
+    """Its force of an arm bearing is C0 = 33,033 N / 1.5 / 2.5, rounded to 0.1 kN."""
+    asked = study_of("rv-40e-whole")
+    usual = models.kind(asked.design).usual
+    assert set(usual) == {"turn_pin_pressure", "arm_bearing_force", "life"}
+    for name, limit in usual.items():
+        requirement = asked.requirements[name]
+        assert limit.limits(asked.design) == pytest.approx((requirement.lower, requirement.upper), rel=2e-3)
+
+
+def test_units_beyond_a_usual_limit_are_said(monkeypatch):
+    """Pressure 2650 MPa and 100 MPa of standard deviation: 93.32 % within 2800 MPa, 99 % within 2883 MPa."""
+
+    def response(errors):
+        unit = errors.crank_eccentricity[0, 0] / (10e-6 / 3)
+        return {"turn_pin_pressure": (2650 + 100 * unit) * 1e6}
+
+    response.costly, response.outputs = True, ("turn_pin_pressure",)
+    asked = loaded_study(("[conditions]", "[run]\nseed = 1\n[conditions]"))
+    monkeypatch.setattr(whole, "Response", SimpleNamespace(of=lambda design, names, conditions: response))
+    (found,) = whole.unlimited(asked, asked.tolerances).values()
+    assert found.nominal == pytest.approx(2650e6) and found.units == whole.UNITS and found.failed == 0
+    assert found.reached.lower < 2882.6e6 < found.reached.upper
+    assert found.share.lower < 0.93319 < found.share.upper and found.missed
+    seen = {"turn_pin_pressure": found}
+    (line,) = unlimited_texts(seen, asked)
+    beyond = f"{100 * (1 - found.share.value):.3g} % of the units miss a usual limit, <= 2800 MPa"
+    assert line.startswith(f"Not limited: turn_pin_pressure. {beyond} (static safety 2")
+    (table,) = unlimited_tables(seen, asked)
+    (row,) = table.texts()[1]
+    assert row[0] == "turn_pin_pressure" and row[1] == "2650 MPa" and row[3] == "<= 2800 MPa"
+    kept = dataclasses.replace(found, share=wilson(512, 512, 0.95))
+    assert unlimited_texts({"turn_pin_pressure": kept}, asked) == [] and not kept.missed
+    assert unlimited_tables({}, asked) == []
 
 
 def test_studies_that_are_not_measured(study):

@@ -1,11 +1,14 @@
-"""Cells of several commands: limits of errors, evaluated values of requirements, failed units."""
+"""Cells of several commands: limits of errors, evaluated values of requirements, influence of errors, failed units."""
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 from rvjax.outputs import Output
 from rvjax.render import Quantity, Zone
 from rvjax.study import Study
-from rvjax.tolerances import Estimate, Limits, Statistics, Tolerance, Verdict
+from rvjax.tolerances import Estimate, Influence, Limits, Statistics, Tolerance, Verdict
+from rvjax.units import readable, rpm, suited
 
 
 def limits_of(study: Study, field: str, tolerance: Tolerance) -> Zone:
@@ -80,12 +83,111 @@ def met_text(requirement: Limits, verdict: Verdict, samples: int) -> str:
     return f"not shown with {samples:,} units" if unsure else "not met"
 
 
+UNMOVED = "no slope"
+UNMOVED_MEANS = (
+    "no slope: raising and lowering the error act alike, or the model ignores it (share -); "
+    "rms: slope of single units, root mean square"
+)
+SHARE_MEANS = "share: variance that the error causes, alone and with others [95 %]; scaled to sum to 100 %"
+KNOWN = 5e-4  # half of the last digit of a share: no interval within it is shown
+
+
+def influence_share(found: Influence, field: str) -> Quantity | None:
+    """Share of an error in the variance, with its interval; None if the error does nothing.
+
+    Args:
+        found: influences on a response.
+        field: name of the error.
+    """
+    one = found.shares[field]
+    if one.value == 0 and found.scatter[field] == 0:
+        return None
+    if one.upper - one.lower < KNOWN:
+        return Quantity(one.value, read_in="%", form=".1f")
+    return Quantity.of(one, read_in="%", form=".1f")
+
+
+def slope_text(found: Influence, field: str, study: Study, output: Output) -> str:
+    """Mean slope of a response along an error, or that there is none.
+
+    Args:
+        found: influences on the response.
+        field: name of the error.
+        study: with both.
+        output: what the response is.
+    """
+    unit, size = output.shown
+    per = f"{unit}/{readable(study.unit(field))[0]}"
+    sizes = {name: readable(study.unit(name))[1] / size for name in found.slopes}
+    shown = [slope * sizes[name] for each in (found.slopes, found.scatter) for name, slope in each.items()]
+    largest = max((slope for slope in shown if math.isfinite(slope) and slope > 0), default=1.0)
+    decimals = min(4, max(0, 3 - math.floor(math.log10(largest))))  # fewer where the largest then has four digits
+    mean, single = (each[field] * sizes[field] for each in (found.slopes, found.scatter))
+    if mean:
+        return f"{mean:.{decimals}f} {per}"
+    said = f"{single:.{decimals}f}"
+    return f"{UNMOVED}, rms {said} {per}" if float(said) > 0 else UNMOVED
+
+
+def together_text(influence: Mapping[str, Influence]) -> str:
+    """A line on responses in which errors act together; "" if there are none.
+
+    Args:
+        influence: of the errors, by response.
+    """
+    sums = {name: found.total for name, found in influence.items() if found.total.lower > 1 + KNOWN}
+    said = ", ".join(f"{name} {100 * total.value:.0f} %" for name, total in sums.items())
+    return f"errors act together; before scaling the shares sum to: {said}" if said else ""
+
+
+def price_text(study: Study, prices: Mapping[str, float]) -> str:
+    """Text on the meaning of shadow prices, such as "100 h less life saves 0.98"; "" if no limit binds.
+
+    Args:
+        study: with the limits.
+        prices: change of the cost if both limits of a response move outwards, per SI unit, by response.
+    """
+    said = []
+    for name, requirement in study.requirements.items():
+        unit, size = study.output(name).shown
+        ends = {"more": requirement.upper, "less": requirement.lower}
+        limited = {way: abs(limit) / size for way, limit in ends.items() if math.isfinite(limit)}
+        if not prices[name] < 0 or not limited:
+            continue
+        largest = max(limited.values())
+        step = 10.0 ** math.floor(math.log10(largest / 10)) if largest > 0 else 1.0
+        saved = f"saves {-prices[name] * step * size:.3g}"
+        if len(limited) > 1:
+            said.append(f"{step:g} {unit} wider limits of {requirement.prefix}{name} save{saved[5:]}")
+        else:
+            said.append(f"{step:g} {unit} {next(iter(limited))} {requirement.prefix}{name} {saved}")
+    return f"shadow price: {'; '.join(said)}" if said else ""
+
+
 def failures_text(found: Statistics) -> str:
     """Text on failed units: number, statuses, and one unit of each status."""
     if not found.failed:
         return "0 failed"
     kinds = (f"{count:,} {name} (unit {found.examples[name]})" for name, count in found.failures.items())
     return f"{found.failed:,} failed, each a reject in every yield: {', '.join(kinds)}"
+
+
+def condition_text(value: Any, about: Mapping[str, Any]) -> str:
+    """A condition in units that a person reads; rows of a table such as "784 N m, 15 rpm, 1 h".
+
+    Args:
+        value: SI.
+        about: metadata of its field, see `rvjax.outputs.condition`.
+    """
+    if about["columns"]:
+        rows = (zip(row, about["columns"].values()) for row in value)
+        return "; ".join(", ".join(_suited(number, unit) for number, unit in row) for row in rows)
+    return str(value) if about["unit"] in (None, "-") else _suited(value, about["unit"])
+
+
+def _suited(value: float, unit: str) -> str:
+    name, size = ("rpm", rpm) if unit == "rad/s" else suited(value, unit) if value else (unit, 1.0)
+    return f"{value / size:.4g} {name}"
 
 
 def limits_data(study: Study, field: str, tolerance: Tolerance) -> dict[str, object]:

@@ -110,7 +110,11 @@ DESCRIPTION = Description(
         "misfit": Output("m", "largest misfit of a disc on the cranks without load (assembly)", _misfit),
     },
     curve=Curve(
-        "Transmission error over one crank turn", "rad", _curve, lambda design, _: 1 / design.cycloid.pin_count
+        "Transmission error over one crank turn",
+        "rad",
+        _curve,
+        lambda design, _: 1 / design.cycloid.pin_count,
+        outputs=("transmission_error",),
     ),
     cases=_cases,
     observations=(CURVE,),

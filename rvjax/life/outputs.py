@@ -24,7 +24,7 @@ from rvjax.life.histories import METHODS
 from rvjax.life.machine import check_places, check_plan, input_angles
 from rvjax.life.rated import RatedTorque, rated_torque
 from rvjax.life.rating import Rating, by_forces, rating, under
-from rvjax.life.ratings import check_ratings
+from rvjax.life.ratings import check_ratings, static_rating
 from rvjax.loaded import (
     CONTACTS,
     MACHINE,
@@ -39,7 +39,7 @@ from rvjax.loaded import (
     turn,
     turns_of,
 )
-from rvjax.outputs import Cases, Description, Joint, Output, Reading, Solved, Way, condition
+from rvjax.outputs import Cases, Description, Joint, Output, Reading, Solved, Usual, Way, condition
 from rvjax.records import PyTree
 from rvjax.units import rpm
 
@@ -235,6 +235,15 @@ def _of_duty(name: str, unit: str, meaning: str, take: Callable[..., Solved], re
     return Output(unit, meaning, Reading((rated,), take), (), read_in, refuse=_refusing(name, own))
 
 
+def _static(design: RVReducer) -> tuple[float, float] | None:
+    """Limits of the force of an arm bearing, from its static rating."""
+    if design.bearings is None:
+        return None
+    return -np.inf, float(np.min(np.asarray(static_rating(design.bearings.arm)))) / (SAFETY * STARTING)
+
+
+LIFE, SAFETY, STARTING = 6000 * 3600.0, 1.5, 2.5
+"""Usual life of a catalogue, s; static safety of the arm bearings at start and stop, and torque there over rated."""
 UNKNOWN = (
     "bearing life (plane model): tilt and edge load (1 mrad costs a quarter of the life), axial forces and preload, "
     "lubricant and dirt, oscillation below a crank turn, wear; gears, flanks and main bearings have no life here; "
@@ -268,4 +277,8 @@ DESCRIPTION = Description(
     costly=True,
     parts=("bearings",),
     joints=(Joint((turn, rated), turned_and_rated),),
+    usual={
+        "life": Usual(lambda design: (LIFE, np.inf), "catalogue life at rated torque and 15 r/min"),
+        "arm_bearing_force": Usual(_static, "C0/1.5/2.5: static safety 1.5 at start and stop, 2.5 times rated torque"),
+    },
 )

@@ -24,8 +24,9 @@ from rvjax.loaded.observation import CURVE, LOOP
 from rvjax.loaded.revolution import Revolution
 from rvjax.loaded.sources import HALF, PROBE, RATED, SLIGHT, second_turn, turn, turns_of, unloaded_turn
 from rvjax.loaded.torsion import secant, twisted
-from rvjax.outputs import KNOWN_ERROR, Curve, Description, Output, Reading, Solved
+from rvjax.outputs import KNOWN_ERROR, Curve, Description, Output, Reading, Solved, Usual
 from rvjax.status import SolveInfo, worst, worst_of
+from rvjax.units import MPa
 
 Refuse = Callable[[RVReducer, Conditions], None]
 
@@ -164,6 +165,8 @@ def _of_turn(unit: str, meaning: str, name: str, refuse: Refuse | None = None, l
 
 
 NEEDS = ("rated_torque",)
+PRESSURE = 2800 * MPa
+"""Usual limit of a contact pressure of pins."""
 DESCRIPTION = Description(
     name="loaded",
     design=RVReducer,
@@ -233,7 +236,7 @@ DESCRIPTION = Description(
     },
     curve=Curve(
         "Transmission error of the loaded reducer over the span", "rad", _curve, turns_of,
-        (turn, lambda found: found.error), _angles,
+        (turn, lambda found: found.error), _angles, ("loaded_transmission_error", "order_amplitude"),
     ),
     cases=cases,
     observations=(CURVE, LOOP),
@@ -241,4 +244,9 @@ DESCRIPTION = Description(
     "direction: give pin_offset, disc_centre and disc_pitch)",
     compiler_options=QUICK,
     costly=True,
+    usual={
+        "turn_pin_pressure": Usual(
+            lambda design: (-np.inf, PRESSURE), "static safety 2: 4000 MPa dents hardened rollers (ISO 76)"
+        )
+    },
 )  # fmt: skip

@@ -8,7 +8,7 @@ from rvjax.render.folders import (
     results_folder as results_folder,
     write_files as write_files,
 )
-from rvjax.render.quantity import Quantity as Quantity, Zone as Zone, number as number
+from rvjax.render.quantity import Quantity as Quantity, Zone as Zone, micro as micro, number as number
 from rvjax.render.report import (
     Report as Report,
     as_json as as_json,

@@ -5,6 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from rvjax.render.quantity import micro
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Drawn, SubFigure
@@ -25,15 +27,21 @@ class Figure:
     draw: "Callable[[], Axes]"
 
     def content(self, form: str = "png") -> bytes:
-        """The content of its file, in the one style of all plots.
+        """The content of its file, in the one style of all plots; units are spelled as on the page.
 
         Args:
             form: "png" or "svg".
         """
+        from matplotlib.text import Text
+
         from rvjax import plotting
 
         with plotting.style():
-            return saved(self.draw().figure, form)
+            figure = self.draw().figure
+            for text in figure.findobj(Text):
+                assert isinstance(text, Text)
+                text.set_text(micro(text.get_text()))
+            return saved(figure, form)
 
 
 def saved(figure: "Drawn | SubFigure", form: str = "png") -> bytes:

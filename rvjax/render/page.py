@@ -12,6 +12,7 @@ from markupsafe import Markup, escape
 
 import rvjax
 from rvjax._ground.files import versions
+from rvjax.render import quantity
 from rvjax.render.content import Block, Note, Section
 from rvjax.render.figure import Figure
 from rvjax.render.table import PAGE, Table
@@ -106,7 +107,7 @@ def nil(cell: str) -> bool:
 
 def micro(text: str) -> Markup:
     """Text with the sign of a micrometre and a microsecond."""
-    return Markup(re.sub(r"(?<![A-Za-z])u(?=[ms]\b)", "µ", str(escape(text))))
+    return Markup(quantity.micro(str(escape(text))))
 
 
 def svg(figure: Figure) -> str:

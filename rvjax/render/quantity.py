@@ -1,6 +1,7 @@
 """Quantities: numbers with an SI unit, and the text that a person reads of them."""
 
 import math
+import re
 from dataclasses import dataclass
 
 from rvjax._ground.frames import Interval
@@ -101,6 +102,15 @@ class Zone(Quantity):
         middle, half = (self.upper + self.lower) / 2 / size, (self.upper - self.lower) / 2 / size
         about = "" if abs(middle) < 1e-9 * abs(half) else f"{middle:{form}} "
         return f"{about}+-{half:{form}}{unit}"
+
+
+def micro(text: str) -> str:
+    """Text with the sign of a micrometre and a microsecond, as pages and plots write it.
+
+    Args:
+        text: with "um" or "us".
+    """
+    return re.sub(r"(?<![A-Za-z])u(?=[ms]\b)", "µ", text)
 
 
 def number(value: Scalar | None, size: float = 1.0) -> float | None:

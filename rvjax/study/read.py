@@ -177,6 +177,8 @@ def _conditions(
     known(given, {name for name, about in fields.items() if not about["columns"]}, "conditions")
     given = given | {name: tables[name] for name in models.tables() if name in tables}
     read = set(kind.conditions_of(outputs))
+    if any(map(kind.costly, outputs)):  # a loaded study lists what it does not limit
+        read |= set(kind.conditions_of(tuple(kind.usual)))
     if identification:
         read |= {f.name for f in dataclasses.fields(kind.observed[identification.model].conditions)}
     for key in sorted(given.keys() - read):

@@ -33,7 +33,12 @@ from rvjax.tolerances.cost_curve import (
     least_yield as least_yield,
 )
 from rvjax.tolerances.failure.failure import FailureProbability, failure_probability
-from rvjax.tolerances.moments import Moments, influences as influences, rss
+from rvjax.tolerances.influence import (
+    COSTLY_UNITS as COSTLY_UNITS,
+    Influence as Influence,
+    influences as influences,
+)
+from rvjax.tolerances.moments import Moments, rss
 from rvjax.tolerances.requirements.kinds import (
     KINDS as KINDS,
     CpkAtLeast,

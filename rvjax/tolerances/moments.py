@@ -20,7 +20,6 @@ from rvjax.response import (
     elements,
     evaluate,
     gradients,
-    parts,
     per_response,
     respond_units,
     response_names,
@@ -93,7 +92,7 @@ def rss(
     population = Population.of(tolerances, correlation)
     names = response_names(response, population)
     required = by_response(requirements, names, Limits, "requirements")
-    law = _Spread(population)
+    law = Spread(population)
     found = _by_name(response, population, names, law, order)
     for name in (name for name, item in found.items() if item.method == "sampled"):
         mean, variance = _seen(response, population, name)
@@ -105,25 +104,8 @@ def rss(
     return moments
 
 
-def influences(response: Response, tolerances: PyTree) -> tuple[PyTree, PyTree]:
-    """Contributions and sensitivities of `rss` by name of the response, from gradients only.
-
-    Args:
-        response: pure function of the errors of one unit; a dict or record of scalars, or an `Outcome` of these.
-        tolerances: record or dict with a `Tolerance` or None in each field.
-    """
-    population = Population.of(tolerances)
-    law = _Spread(population)
-    found: dict[str, _Propagated] = {}
-    for part in parts(response, population):  # each by the program of its own gradients, as a search compiles it
-        found |= _by_name(part.response, population, part.names, law, 1)
-    figures = {name: _figures(item, None, law) for name, item in found.items()}
-    shares, slopes = ({n: each[of] for n, each in figures.items()} for of in ("contributions", "sensitivities"))
-    return shares, slopes
-
-
 def _by_name(
-    response: Response, population: Population, names: tuple[str, ...], law: "_Spread", order: int
+    response: Response, population: Population, names: tuple[str, ...], law: "Spread", order: int
 ) -> dict[str, "_Propagated"]:
     """Moments of each response from the gradients; NaN mean and sd of a response with a kink."""
     value, at_mean, near, far = _derivatives(response, population, law.mean, names)
@@ -141,7 +123,7 @@ def _by_name(
     return found
 
 
-class _Spread:
+class Spread:
     """Moments of all active elements in one vector, field after field."""
 
     def __init__(self, population: Population) -> None:
@@ -161,14 +143,40 @@ class _Spread:
     def covariance(self) -> np.ndarray:
         return self.correlation * np.outer(self.sd, self.sd)
 
+    def block(self, name: str) -> np.ndarray:
+        """Covariance of the elements of one field.
+
+        Args:
+            name: of the field.
+        """
+        own = self.rows(np.arange(len(self.mean)))[name]
+        return self.correlation[np.ix_(own, own)] * np.outer(self.sd[own], self.sd[own])
+
     def shares(self, gradient: np.ndarray) -> dict[str, float]:
-        """Parts of g' Sigma g by field."""
+        """Parts of g' Sigma g by field.
+
+        Args:
+            gradient: of a response (elements,).
+        """
         scaled = gradient * self.sd
         return self.sums(scaled * (self.correlation @ scaled))
 
     def sums(self, values: np.ndarray) -> dict[str, float]:
-        """Sums of a vector over all elements, by field."""
+        """Sums of a vector over all elements, by field.
+
+        Args:
+            values: of the elements (elements,).
+        """
         return {n: float(part.sum()) for n, part in self.population.by_field(values).items()}
+
+    def rows(self, values: np.ndarray) -> dict[str, np.ndarray]:
+        """Rows (elements of the field, n) of an array (elements, n), by field.
+
+        Args:
+            values: a row for each element.
+        """
+        ends = np.cumsum([math.prod(t.shape) for t in self.fields.values()])
+        return dict(zip(self.fields, np.split(values, ends[:-1])))
 
 
 def _of_errors(z_matrix: np.ndarray, population: Population) -> np.ndarray:
@@ -220,7 +228,7 @@ class _Propagated:
     total: float | None = None  # variance where it is not the sum of the shares
 
 
-def _figures(item: _Propagated, requirement: Limits | None, law: _Spread) -> dict[str, PyTree]:
+def _figures(item: _Propagated, requirement: Limits | None, law: Spread) -> dict[str, PyTree]:
     shared = sum(item.variances.values())
     sd = math.sqrt(max(0.0, shared if item.total is None else item.total))
     limits = requirement if requirement is not None and requirement.of_units else None
@@ -235,7 +243,7 @@ def _figures(item: _Propagated, requirement: Limits | None, law: _Spread) -> dic
     )
 
 
-def _second_order(value: float, g: np.ndarray, h: np.ndarray, law: _Spread) -> _Propagated:
+def _second_order(value: float, g: np.ndarray, h: np.ndarray, law: Spread) -> _Propagated:
     """Moments of f + g'd + d'Hd/2; exact second moments of the quadratic form."""
     covariance, curvature = law.covariance, np.diag(h)
     mean = value + 0.5 * float((h * covariance).sum())
@@ -259,7 +267,7 @@ def _kink(gradient: np.ndarray, near: np.ndarray, far: np.ndarray, sd: np.ndarra
     return bool(seen.any() and jump[seen].mean() > 0.01 * size[seen].mean())
 
 
-def _sampled(gradients: np.ndarray, law: _Spread) -> _Propagated:
+def _sampled(gradients: np.ndarray, law: Spread) -> _Propagated:
     """Shares and mean squares of the gradients of whole units."""
     gradients = gradients[np.isfinite(gradients).all(axis=1)]
     of_units = [law.shares(gradient) for gradient in gradients]

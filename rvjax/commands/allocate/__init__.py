@@ -16,3 +16,7 @@ from rvjax.commands.allocate.report import (
     shortfall_text as shortfall_text,
     tolerance_tables as tolerance_tables,
 )
+from rvjax.commands.allocate.whole import (
+    unlimited_tables as unlimited_tables,
+    unlimited_texts as unlimited_texts,
+)

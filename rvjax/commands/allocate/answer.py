@@ -1,5 +1,6 @@
 """Result of a study: the allocation, sample units, shares and cost curve."""
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -8,7 +9,7 @@ import numpy as np
 
 from rvjax._ground.progress import begin, progress_bar
 from rvjax.commands.allocate.forecast import CERTIFYING, PRICING, SAMPLING, SEARCHING, shown_values, targets
-from rvjax.commands.allocate.whole import Whole, whole
+from rvjax.commands.allocate.whole import Unlimited, Whole, not_limited, unlimited, whole
 from rvjax.commands.curves import begin_curves, curves_of
 from rvjax.population import Population, root_key
 from rvjax.records import PyTree
@@ -26,6 +27,7 @@ from rvjax.response import (  # chunks of the certificate's size: the response c
 from rvjax.study import CURVE, Study, refuse
 from rvjax.tolerances import (
     Allocation,
+    Influence,
     Memo,
     Requirement,
     Run,
@@ -51,8 +53,7 @@ class Side:
     Attributes:
         tolerances: record with a Tolerance or None in each field.
         cost: of each field that has a cost.
-        shares: {response: {field: share of variance}}.
-        sensitivities: {response: {field: derivative per element, root mean square over the elements}}.
+        influence: {response: what each error does to it}; empty before the allocation.
         values: {response: values of sample units}, for histograms.
         angle: of the curves, rad (angles,).
         curves: what a person looks at, for sample units, SI (units, angles); empty without such a curve.
@@ -62,13 +63,17 @@ class Side:
 
     tolerances: PyTree
     cost: dict[str, float]
-    shares: Mapping[str, Mapping[str, float]]
-    sensitivities: Mapping[str, Mapping[str, float]]
+    influence: Mapping[str, Influence]
     values: Mapping[str, np.ndarray]
     angle: np.ndarray
     curves: np.ndarray
     failed: dict[str, int]
     seed: int
+
+    @property
+    def shares(self) -> dict[str, dict[str, float]]:
+        """Shares {response: {field: part of the variance}}."""
+        return {name: {field: x.value for field, x in found.shares.items()} for name, found in self.influence.items()}
 
 
 @dataclass(frozen=True)
@@ -85,6 +90,7 @@ class Answer:
             itself included if all targets are equal; empty if the study is infeasible or requires no share
             of units.
         whole: allocated units on the whole reducer, or None where the study has no such outputs.
+        unlimited: {output that a loaded study does not limit: what it is of the allocated units}.
     """
 
     study: Study
@@ -94,6 +100,7 @@ class Answer:
     after: Side
     cost_curve: list[tuple[float, float]]
     whole: Whole | None = None
+    unlimited: Mapping[str, Unlimited] = dataclasses.field(default_factory=dict)
 
 
 def answer(study: Study, *, progress: bool = False, memo: Memo | None = None, measure: bool = True) -> Answer:
@@ -103,13 +110,16 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None, me
         study: solved study.
         progress: show progress bars.
         memo: store of intermediate results, from which an interrupted run resumes.
-        measure: measure the allocated units of a four-bar or lost-motion study on the whole reducer.
+        measure: measure the allocated units of a four-bar or lost-motion study on the whole reducer, and what a
+            loaded study does not limit.
     """
     response = study.response()
     begin(SEARCHING)
     with progress_bar(progress, None, "checked", "unit") as advance:  # compiles the gradients: the longest wait
         if response.costly:
             begin_programs(response, Population.of(study.tolerances), slopes=True)
+            if measure and (others := not_limited(study)):
+                begin_programs(others, Population.of(study.tolerances))
         else:
             _begin_programs(study, response)
         status_of = status_without_errors if response.costly else nominal_status
@@ -149,9 +159,11 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None, me
     )
     begin(SAMPLING)
     curves = _curves(study, solved)
+    chunk = BLOCK if study.middles else min(study.samples, BLOCK)  # of the search
+    found = influences(response, allocation.tolerances, seed=study.seed, chunk=chunk)
     sides = [
-        _side(study, response, study.tolerances, before, curves),
-        _side(study, response, allocation.tolerances, certificate, curves),
+        _side(study, response, study.tolerances, before, curves, {}),
+        _side(study, response, allocation.tolerances, certificate, curves, found),
     ]
     begin(PRICING)
     return Answer(
@@ -162,6 +174,7 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None, me
         after=sides[1],
         cost_curve=_cost_curve(study, response, allocation, memo, solved),
         whole=whole(study, allocation.tolerances) if measure else None,
+        unlimited=unlimited(study, allocation.tolerances) if measure else {},
     )
 
 
@@ -175,8 +188,14 @@ def _begin_programs(study: Study, response: Response) -> None:
         begin_curves(study.curve, study.design, study.conditions, population)
 
 
-def _side(study: Study, response: Response, tolerances: PyTree, certificate: Statistics, curves: _Curves) -> Side:
-    shares, sensitivities = influences(response, tolerances)
+def _side(
+    study: Study,
+    response: Response,
+    tolerances: PyTree,
+    certificate: Statistics,
+    curves: _Curves,
+    influence: Mapping[str, Influence],
+) -> Side:
     kept = certificate
     if kept.values is None:  # more units than a histogram shows: some of its own
         count, seed = shown_values(study), study.seed + 2
@@ -185,11 +204,7 @@ def _side(study: Study, response: Response, tolerances: PyTree, certificate: Sta
     return Side(
         tolerances=tolerances,
         cost={name: float(cost(getattr(tolerances, name).half_width)) for name, cost in study.costs.items()},
-        shares=shares,
-        sensitivities={
-            name: {field: float(np.sqrt(np.mean(np.square(derivative)))) for field, derivative in fields.items()}
-            for name, fields in sensitivities.items()
-        },
+        influence=influence,
         values=kept.values,
         angle=angle,
         curves=drawn,

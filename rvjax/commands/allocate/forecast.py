@@ -4,7 +4,7 @@ from rvjax._ground.progress import spelled
 from rvjax.commands.forecast import unit_seconds
 from rvjax.response import BLOCK
 from rvjax.study import Study
-from rvjax.tolerances import KEPT
+from rvjax.tolerances import COSTLY_UNITS, KEPT
 
 SEARCHING, CERTIFYING = "cheapest tolerances", "yield before"  # phases of a run
 SAMPLING, PRICING = "sample units", "cost against yield"
@@ -28,6 +28,7 @@ def solved_units(study: Study) -> dict[str, int]:
         found = {
             SEARCHING: COSTLY_PASSES * study.samples + COSTLY_CERTIFICATES * drawn,
             CERTIFYING: 0,  # units of the search
+            SAMPLING: COSTLY_UNITS * (1 + len(study.fields)),
             PRICING: points * COSTLY_PART_OF_A_POINT * (study.samples + drawn / 2),
         }
     else:
@@ -36,7 +37,8 @@ def solved_units(study: Study) -> dict[str, int]:
             CERTIFYING: drawn,
             PRICING: points * (PASSES_A_POINT * study.samples + shown_values(study)),
         }
-    return {phase: int(units) for phase, units in found.items()} | {SAMPLING: shown}
+    found[SAMPLING] = found.get(SAMPLING, 0) + shown
+    return {phase: int(units) for phase, units in found.items()}
 
 
 def targets(study: Study) -> list[float]:

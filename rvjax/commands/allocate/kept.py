@@ -10,7 +10,7 @@ import rvjax
 from rvjax import tolerances
 from rvjax._ground.files import versions
 from rvjax.commands.allocate.answer import Answer, Side
-from rvjax.commands.allocate.whole import Whole
+from rvjax.commands.allocate.whole import Unlimited, Whole
 from rvjax.records import PyTree
 from rvjax.render import numbered_folders
 from rvjax.study import Study
@@ -50,6 +50,7 @@ def stored(answer: Answer) -> bytes:
     found = {name: getattr(answer, name) for name in ("allocation", "certificate_before", "cost_curve")} | sides
     if answer.whole is not None:
         found["whole"] = dict(vars(answer.whole))
+    found["unlimited"] = {name: dict(vars(one)) for name, one in answer.unlimited.items()}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, FILE)
         tolerances.save(found, path, study={"name": answer.study.name}, seed=answer.study.seed)
@@ -69,6 +70,7 @@ def restored(study: Study, place: Path) -> Answer | None:
         found: dict[str, PyTree] = tolerances.load(place / FILE)
         found |= {name: Side(**found[name]) for name in ("before", "after")}
         found |= {"whole": Whole(**found["whole"])} if "whole" in found else {}
+        found["unlimited"] = {name: Unlimited(**one) for name, one in found["unlimited"].items()}
         return Answer(study=study, **found)
     except (OSError, ValueError, TypeError, KeyError):
         return None

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +12,22 @@ from rvjax.commands.allocate import kept
 from rvjax.commands.allocate.answer import Answer
 from rvjax.commands.allocate.figures import figures
 from rvjax.commands.allocate.inputs import Inputs
-from rvjax.commands.allocate.whole import whole_text
-from rvjax.commands.cells import assumed_text, evaluated, failures_text, limit_text, limits_data, limits_of, share
+from rvjax.commands.allocate.whole import unlimited_tables, unlimited_texts, whole_text
+from rvjax.commands.cells import (
+    SHARE_MEANS,
+    UNMOVED_MEANS,
+    assumed_text,
+    evaluated,
+    failures_text,
+    influence_share,
+    limit_text,
+    limits_data,
+    limits_of,
+    price_text,
+    share,
+    slope_text,
+    together_text,
+)
 from rvjax.outputs import Output
 from rvjax.render import (
     CSV,
@@ -33,12 +46,9 @@ from rvjax.render import (
     Value,
     number,
 )
-from rvjax.study import Study
 from rvjax.tolerances import Allocation
 from rvjax.units import readable
 
-UNMOVED = "no slope"
-UNMOVED_MEANS = "the model ignores this error, or its first-order effect is zero; it may still matter"
 MOVED = "middles moved"
 """Row with the cost of moved mid-points: with it, the column of costs adds up to the total."""
 NOT_IN_FILE, IN_FILE = EVERYWHERE - {CSV}, frozenset({CSV})
@@ -77,6 +87,7 @@ def report_on(answer: Answer) -> Report:
             *tolerance_tables(answer),
             *influence_tables(answer),
             requirement_table(answer),
+            *unlimited_tables(answer.unlimited, answer.study),
             Note("\n".join([fresh, *limits_of_the_answer(answer)])),
             *figures(answer),
         ),
@@ -100,6 +111,7 @@ def headline(answer: Answer) -> str:
         lines.append(f"cost {allocation.start_cost:.3f} -> {allocation.cost:.3f} ({change:+.1f} %)")
         if graded := allocation.graded:
             lines.append(f"with ISO 286 grades: cost {graded.cost:.3f} ({graded.status})")
+        lines += unlimited_texts(answer.unlimited, study)
     else:
         lines.append("No tolerances within the process ranges were found to meet the requirements; at the finest ones")
         for name, shortfall in allocation.shortfall.items():
@@ -178,39 +190,34 @@ def tolerance_tables(answer: Answer) -> list[Table]:
 
 
 def influence_tables(answer: Answer) -> list[Table]:
-    """Slope of each response along each error (root mean square over its elements) and share of the variance, after.
+    """Mean slope of each response along each error and share of the variance, with its interval, after.
 
     A row for each error in text and page, for each error and response in the file.
     """
-    study, side = answer.study, answer.after
+    study, found = answer.study, answer.after.influence
     columns: list[Column] = [Text("error")]
-    decimals = {name: _decimals(study, name, side.sensitivities[name]) for name in study.requirements}
     for name in study.requirements:
-        columns += [Text(f"d {name} / d error"), Text("share")]
+        columns += [Text(f"d {name} / d error"), Interval("share [interval]")]
     wide, long = [], []
     for field in study.fields:
         error_unit, error_size = readable(study.unit(field))
-        row = [field]
+        row: list[Cell] = [field]
         for name in study.requirements:
-            unit, size = study.output(name).shown
-            slope, part = side.sensitivities[name][field] * error_size / size, side.shares[name][field]
-            seen, per = slope != 0 or part != 0, f"{unit}/{error_unit}"
-            row += [f"{slope:.{decimals[name]}f} {per}", f"{100 * part:.1f} %"] if seen else [UNMOVED, "-"]
-            long.append([field, name, number(slope) if seen else None, per, number(part) if seen else None])
+            output, one = study.output(name), found[name]
+            (unit, size), part = output.shown, influence_share(one, field)
+            row += [slope_text(one, field, study, output), part]
+            mean, single = (each[field] * error_size / size or None for each in (one.slopes, one.scatter))
+            known = one.shares[field]
+            three = [number(x) if part else None for x in (known.value, known.lower, known.upper)]
+            long.append([field, name, number(mean), f"{unit}/{error_unit}", *three, number(single)])
         wide.append(row)
     titles = ("error", "response", "slope", "unit of the slope", "share of variance")
+    ends = ("share, lower end", "share, upper end", "slope of a unit, rms")
+    note = "\n".join(filter(None, [UNMOVED_MEANS, SHARE_MEANS, together_text(found)]))
     return [
-        Table("influence", [Column(title) for title in titles], long, on=IN_FILE),
-        Table("influence", columns, wide, note=f"{UNMOVED}: {UNMOVED_MEANS}", on=NOT_IN_FILE),
+        Table("influence", [Column(title) for title in (*titles, *ends)], long, on=IN_FILE),
+        Table("influence", columns, wide, note=note, on=NOT_IN_FILE),
     ]
-
-
-def _decimals(study: Study, name: str, slopes: Mapping[str, float]) -> int:
-    """Four, fewer where the largest slope then still has four digits."""
-    size = study.output(name).shown[1]
-    shown = [abs(slope) * readable(study.unit(field))[1] / size for field, slope in slopes.items()]
-    largest = max((slope for slope in shown if math.isfinite(slope) and slope > 0), default=1.0)
-    return min(4, max(0, 3 - math.floor(math.log10(largest))))
 
 
 @dataclass(frozen=True)
@@ -290,7 +297,7 @@ def requirement_table(answer: Answer) -> Table:
         row += [requirement.text(), figure_unit, *cells, verdicts[1].met, (allocation.multipliers[name], output)]
         row += [evaluated(graded.certificate.verdicts[name], output)] if graded else []
         rows.append([*row, verdicts[1].met])
-    return Table("requirements", columns, rows)
+    return Table("requirements", columns, rows, note=price_text(study, allocation.multipliers))
 
 
 def _data(answer: Answer) -> dict[str, object]:
@@ -316,8 +323,8 @@ def _data(answer: Answer) -> dict[str, object]:
             }
             for field in study.fields
         },
-        "shares": {"before": answer.before.shares, "after": answer.after.shares},
-        "sensitivities": answer.after.sensitivities,
+        "shares": {"after": answer.after.shares},
+        "influence": answer.after.influence,
         "limits": {name: limit_text(item, study.output(name)) for name, item in study.requirements.items()},
         "multipliers": allocation.multipliers,
         "shortfall": allocation.shortfall,
@@ -325,5 +332,6 @@ def _data(answer: Answer) -> dict[str, object]:
         "certificate_before": answer.certificate_before,
         "graded": {"status": graded.status, "cost": graded.cost} if graded else None,
         **({} if answer.whole is None else {"whole": answer.whole}),
+        **({"unlimited": answer.unlimited} if answer.unlimited else {}),
         "cost_curve": answer.cost_curve,
     }

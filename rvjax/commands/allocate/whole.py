@@ -1,9 +1,11 @@
-"""One measured line: the share of units of a four-bar or lost-motion study that meet its limits on the whole reducer.
+"""Units on the whole reducer: the limits of a four-bar or lost-motion study, and what a loaded study does not limit.
 
-A few hundred units are solved by the loaded model. Control: a linear regression of the loaded outputs on the errors,
-fitted to the other folds of these units, predicts the margin of many units; it sorts them into strata. In each stratum
-the share of good units is that of the solved ones, with the score interval of Wilson; the intervals are added in
-squares (Zou and Donner, Stat. Med. 27, 1693, 2008). A useless control leaves the interval of plain sampling.
+A few hundred units are solved by the loaded model. What a loaded study does not limit is compared with usual limits.
+For another study the share of units that meet its limits there is one line. Control: a linear regression of the loaded
+outputs on the errors, fitted to the other folds of these units, predicts the margin of many units; it sorts them into
+strata. In each stratum the share of good units is that of the solved ones, with the score interval of Wilson; the
+intervals are added in squares (Zou and Donner, Stat. Med. 27, 1693, 2008). A useless control leaves the interval of
+plain sampling.
 """
 
 import dataclasses
@@ -17,12 +19,14 @@ import numpy as np
 
 from rvjax import models
 from rvjax._jax.blocks import AT_ONCE
-from rvjax.commands.cells import share
+from rvjax.commands.cells import limit_text, share
 from rvjax.errors import described
 from rvjax.population import Estimate, Population, deviate_of, drawn, root_key, score_interval
+from rvjax.render import Cell, Interval, Number, Quantity, Table, Text, Titled
 from rvjax.response import elements, is_costly, parts
 from rvjax.status import succeeded
 from rvjax.study import CURVE, Response, Study
+from rvjax.tolerances import Requirement, monte_carlo
 
 UNITS, MANY = 2 * AT_ONCE, 16384
 FOLDS = 4
@@ -31,6 +35,93 @@ EDGES = np.array([-1.5, 0.0, 1.5])
 ANGLES = {"samples": 24, "probe_angles": 4}
 SEED = 5  # added to that of the study
 _RIDGE = 1e-3  # of the units, in squares of standardised errors
+
+
+SHARE = 0.99
+"""Of the units: what is not limited is listed at this share."""
+
+
+@dataclass(frozen=True)
+class Unlimited:
+    """An output of a loaded study that no requirement limits, next to its usual limit.
+
+    Attributes:
+        nominal: value of the unit without errors, SI; nan if it fails.
+        reached: value that `SHARE` of the units keep, SI: a quantile of the side that has a limit.
+        lower: usual limit, SI.
+        upper: usual limit, SI.
+        share: of the units within the usual limit; failed units are not.
+        meaning: of the limit.
+        units: solved ones.
+        failed: those of them without a value.
+    """
+
+    nominal: float
+    reached: Estimate
+    lower: float
+    upper: float
+    share: Estimate
+    meaning: str
+    units: int
+    failed: int
+
+    @property
+    def missed(self) -> bool:
+        """True if less than `SHARE` of the units keep the usual limit."""
+        return self.share.value < SHARE
+
+    @property
+    def limit(self) -> Requirement:
+        """The usual limit."""
+        return Requirement(lower=self.lower, upper=self.upper, target=SHARE)
+
+
+def not_limited(study: Study) -> Response | None:
+    """Outputs with a usual limit that a loaded study does not limit, as far as its design and conditions allow them."""
+    usual = models.kind(study.design).usual if study.costly else {}
+    names = []
+    for name in (name for name, limit in usual.items() if name not in study.requirements):
+        try:
+            Response.of(study.design, (name,), study.conditions)
+        except ValueError:
+            continue
+        names += [name] if usual[name].limits(study.design) else []
+    return Response.of(study.design, tuple(names), study.conditions) if names else None
+
+
+def unlimited(study: Study, tolerances: Any) -> dict[str, Unlimited]:
+    """Measure the outputs that a loaded study does not limit, on units with some tolerances.
+
+    Args:
+        study: with the design and the conditions.
+        tolerances: of the units.
+    """
+    response, population = not_limited(study), Population.of(tolerances)
+    if response is None:
+        return {}
+    usual = {name: models.kind(study.design).usual[name] for name in response.outputs}
+    ends = {name: limit.limits(study.design) or (-math.inf, math.inf) for name, limit in usual.items()}
+    limits = {name: Requirement(lower=low, upper=high, target=SHARE) for name, (low, high) in ends.items()}
+    seed, quantiles = study.seed + SEED, (1 - SHARE, SHARE)
+    found = monte_carlo(
+        response, tolerances, samples=UNITS, seed=seed, chunk=UNITS, requirements=limits, quantiles=quantiles
+    )
+    nominal, count = dict[str, float](), sum(math.prod(tolerance.shape) for tolerance in population.active.values())
+    for part in parts(response, population):
+        nominal |= dict(zip(part.names, part.of_elements(population, np.zeros((count, 1)))[0][:, 0].tolist()))
+    return {
+        name: Unlimited(
+            nominal=nominal[name],
+            reached=found.quantiles[SHARE if math.isfinite(limit.upper) else 1 - SHARE][name],
+            lower=limit.lower,
+            upper=limit.upper,
+            share=found.yield_[name],
+            meaning=usual[name].meaning,
+            units=found.samples,
+            failed=found.failed,
+        )
+        for name, limit in limits.items()
+    }
 
 
 @dataclass(frozen=True)
@@ -212,3 +303,38 @@ def whole_text(found: Whole, study: Study) -> str:
         f"On the whole reducer {share(found.share).text()} of these units meet all limits. Of {found.units} solved "
         f"units: {'; '.join(said)}{failed}. Not included: {known}."
     )
+
+
+def unlimited_texts(found: Mapping[str, Unlimited], study: Study) -> list[str]:
+    """A line for each usual limit that less than `SHARE` of the units keep.
+
+    Args:
+        found: what was measured.
+        study: that does not limit it.
+    """
+    return [
+        f"Not limited: {name}. {100 * (1 - one.share.value):.3g} % of the units miss a usual limit, "
+        f"{limit_text(one.limit, study.output(name))} ({one.meaning})."
+        for name, one in found.items()
+        if one.missed
+    ]
+
+
+def unlimited_tables(found: Mapping[str, Unlimited], study: Study) -> list[Table]:
+    """Outputs without a limit: value without errors and at `SHARE` of the units, next to a usual limit.
+
+    Args:
+        found: what was measured.
+        study: that does not limit it.
+    """
+    rows: list[list[Cell]] = []
+    for name, one in found.items():
+        output = study.output(name)
+        nominal = Quantity(one.nominal, output.unit, read_in=output.read_in)
+        reached = Quantity.of(one.reached, output.unit, output.read_in)
+        limit = limit_text(one.limit, output)
+        rows.append([Titled(name, output.meaning), nominal, reached, limit, share(one.share), one.meaning])
+    units = f"{100 * SHARE:g} % of the units"
+    columns = [Text("not limited"), Number("without errors"), Interval(f"{units} [interval]", file_title=units)]
+    columns += [Text("usual limit"), Interval("within it [interval]", file_title="within it"), Text("why", wraps=True)]
+    return [Table("not_limited", columns, rows)] if rows else []

@@ -110,7 +110,7 @@ def compute(inputs: Inputs) -> Budget | ScalarBudget:
     inputs.study.check_nominal()
     phase.begin(COUNTED)
     named = tuple(inputs.study.requirements) if inputs.output is None else (inputs.output,)
-    if set(named) <= set(inputs.study.requirements) and curve_along(inputs.study, named) is None:
+    if set(named) <= set(inputs.study.requirements) and curve_of(inputs.study, inputs.output) is None:
         if inputs.loads:
             raise ValueError(f"--torque: {named[0]} has no curve along the output; its torque is that of the study")
         return scalar_budget(inputs.study, named[0], samples=inputs.samples, seed=inputs.seed)
@@ -203,10 +203,21 @@ def _curve(study: Study, output: str | None) -> Curve:
     """The curve along the output of one model."""
     if output is not None:
         choose("output", output, study.requirements)
-    curve = curve_along(study, tuple(study.requirements) if output is None else (output,))
+    curve = curve_of(study, output)
     if curve is None:
         raise ValueError(f"study {study.name}: no response required here has a curve along the output")
     return curve
+
+
+def curve_of(study: Study, output: str | None) -> Curve | None:
+    """The curve along the output that a response is a value of; without a response, the first of the study.
+
+    Args:
+        study: with the design.
+        output: required response of the study.
+    """
+    curve = curve_along(study, tuple(study.requirements) if output is None else (output,))
+    return None if output is not None and curve and curve.outputs and output not in curve.outputs else curve
 
 
 def curve_along(study: Study, outputs: Sequence[str]) -> Curve | None:

@@ -105,7 +105,7 @@ def _orders(budget: Budget) -> Table:
     size: dict[str, Any] = {"form": ".3g", "unit": budget.unit, "read_in": unit}
     columns: list[Column] = [Number("order")]
     for load in budget.torque:
-        columns += [Number(f"{load} {name} {unit}", **size) for name in ("rms", "alike")]
+        columns += [Number(f"{load} {name} {unit}", **size) for name in ("rms", "in every unit")]
         columns.append(Text(" ".join((load, "owner"))))
     rows = []
     for k in _largest_orders(budget, ORDERS_SHOWN):
@@ -116,7 +116,8 @@ def _orders(budget: Budget) -> Table:
             row += [np.sqrt(budget.total[load][k]), np.sqrt(budget.alike[load][k])]
             row.append(owner if owned and owned[owner] > 0 else None)
         rows.append(row)
-    return Table("orders", columns, rows, on=EVERYWHERE - {CSV})
+    note = "rms: over the units, without what is in every unit: that of the design and its load"
+    return Table("orders", columns, rows, note=note, on=EVERYWHERE - {CSV})
 
 
 def _largest_orders(budget: Budget, shown: int) -> list[int]:
@@ -150,13 +151,13 @@ def _load_lines(budget: Budget) -> list[str]:
         named = f"{torque:.4g} N m"
         share, error = (100 * part for part in budget.together[load])
         spread = np.sqrt(budget.total[load][1:].sum()) / size
-        parts = sum(values[1:].sum() for values in budget.variance[load].values())
-        sums = 100 * parts / budget.total[load][1:].sum() if spread > 0 else 100.0
+        together = "comes from errors that act together; it counts in the share of each of them"
+        if budget.linear:
+            together = "is not linear in the errors; these shares do not contain it"
         failed = budget.failed[load]
         lines.append(
             f"{load if load == named else f'{load}, {named}'}: {spread:.3g} {unit} rms over units and angles; "
-            f"at most {share:.2g} +- {error:.1g} % of its square are interactions, not included in linear shares; "
-            f"single errors, each with its part in that, sum to {sums:.0f} %"
+            f"at most {share:.2g} +- {error:.1g} % of its variance {together}"
             + (f"; {failed} of {budget.samples} units failed and are excluded" if failed else "")
         )
     return lines

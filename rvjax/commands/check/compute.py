@@ -1,10 +1,9 @@
 """Values of a study next to those of known reducers, and the levels of its responses."""
 
 import dataclasses
-from collections.abc import Mapping
-from typing import Any
 
 from rvjax import models
+from rvjax.commands.cells import condition_text
 from rvjax.commands.check.inputs import Inputs
 from rvjax.commands.forecast import choices
 from rvjax.designs import RVReducer
@@ -44,16 +43,8 @@ def _magnitudes(study: Study) -> list[tuple[str, str, str | None]]:
     for f in dataclasses.fields(kind.conditions):
         value = getattr(study.conditions, f.name)
         if f.name in kind.conditions_of(tuple(study.requirements)) and value is not None:
-            number = _shown(value, f.metadata)
+            number = condition_text(value, f.metadata)
             rated = f.metadata["torque"] and isinstance(study.design, RVReducer)
             span = f"up to {shown(TORQUE[1], 'N m')}" if rated else None
             rows.append((f"conditions.{f.name}", number, span))
     return rows
-
-
-def _shown(value: object, about: Mapping[str, Any]) -> str:
-    """A condition as text; rows of a table such as "784 N m, 15 r/min, 1 h"."""
-    if about["columns"] and isinstance(value, tuple):
-        units = about["columns"].values()
-        return "; ".join(", ".join(shown(number, unit) for number, unit in zip(row, units)) for row in value)
-    return shown(value, about["unit"]) if isinstance(value, float) else str(value)

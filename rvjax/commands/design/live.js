@@ -36,6 +36,7 @@ function startDesign(section, data) {
     made.append(...children);
     return made;
   };
+  const restored = [];
   let at = LiveDesign.begin(data, "centre"), speaking = 0;
   const refresh = data.sliders.map((slider, k) => {
     const id = `design-${k}`, step = 10 ** Math.floor(Math.log10((slider.high - slider.low) / 100));
@@ -44,15 +45,23 @@ function startDesign(section, data) {
     const value = element("output", { for: id }), mark = element("span", { class: "far" });
     const row = element("div", { class: "live-row" }, element("label", { for: id }, slider.label), value, range, exact, mark);
     $(slider.number ? "numbers" : "half-widths").append(row);
-    const set = (wanted) => { at[k] = Math.min(slider.high, Math.max(slider.low, wanted)); tell(); };
-    range.addEventListener("input", () => set(Number(range.value)));
-    exact.addEventListener("change", () => { if (Number.isFinite(exact.valueAsNumber)) set(exact.valueAsNumber); });
+    let refused = "";
+    range.addEventListener("input", () => { refused = ""; at[k] = Number(range.value); tell(); });
+    exact.addEventListener("change", () => {
+      const { value: wanted, said } = Live.taken(exact.valueAsNumber, slider.low, slider.high, (x) => shown(x, slider.unit));
+      refused = said;
+      if (wanted !== null) at[k] = wanted;
+      if (said) exact.value = read(at[k]); // the field has the focus, and is not written again
+      tell();
+    });
+    restored.push(() => { refused = ""; });
     return () => {
       range.value = at[k];
       range.setAttribute("aria-valuetext", shown(at[k], slider.unit));
       if (document.activeElement !== exact) exact.value = read(at[k]);
       value.textContent = shown(at[k], slider.unit);
-      mark.textContent = Math.abs(at[k] - slider.centre) > slider.reach * (1 + 1e-9) ? "far from the optimum" : "";
+      const far = Math.abs(at[k] - slider.centre) > slider.reach * (1 + 1e-9);
+      mark.textContent = [refused, far ? "far from the optimum" : ""].filter(Boolean).join("; ");
     };
   });
   const tabled = (name, rows, titles, text) => rows.map((row) => {
@@ -88,7 +97,7 @@ function startDesign(section, data) {
 
   section.addEventListener("click", (event) => {
     const wanted = event.target.dataset?.begin;
-    if (wanted) { at = LiveDesign.begin(data, wanted); tell(); }
+    if (wanted) { restored.forEach((forget) => forget()); at = LiveDesign.begin(data, wanted); tell(); }
   });
   section.hidden = false;
   tell();

@@ -144,7 +144,15 @@ const Live = (() => {
     minimumFractionDigits: digits, maximumFractionDigits: digits, signDisplay: "exceptZero", useGrouping: false,
   }).format(value);
 
-  return { opened, begin, all, cost, study, limitsOf, values, places, signed };
+  /* The number that a slider takes, and why it is not the one that was typed; null where there is none. */
+  function taken(wanted, low, high, shown) {
+    if (!Number.isFinite(wanted)) return { value: null, said: "no number: not changed" };
+    const value = Math.min(high, Math.max(low, wanted));
+    const said = `${shown(wanted)} is outside ${shown(low)} to ${shown(high)}: set to ${shown(value)}`;
+    return { value, said: value === wanted ? "" : said };
+  }
+
+  return { opened, begin, all, cost, study, limitsOf, values, places, signed, taken };
 })();
 
 if (typeof module !== "undefined") module.exports = Live;

@@ -3,7 +3,6 @@
 import base64
 import json
 import math
-import re
 from importlib import resources
 from typing import Any
 
@@ -14,7 +13,7 @@ from rvjax.commands.allocate import Answer
 from rvjax.commands.cells import stated_by
 from rvjax.commands.report.surrogate import COMPARED, Surrogate, grows_from_lower, placed
 from rvjax.plotting import words
-from rvjax.render import Block
+from rvjax.render import Block, micro
 from rvjax.study import study_template
 from rvjax.tolerances import Cost, CpkAtLeast, Exponential, Limits, MeanWithin, ReciprocalPower, Requirement, SdAtMost
 from rvjax.units import readable
@@ -218,7 +217,7 @@ def _checks(found: Surrogate, answer: Answer) -> list[tuple[str, list[str]]]:
     for check in found.checks:
         for name, figures in check.figures.items():
             unit, size = answer.study.output(name).shown
-            unit = re.sub("^u(?=m)", "µ", unit)
+            unit = micro(unit)
             shown = {"yield": (0.01, "%"), "mean": (size, unit), "sd": (size, unit)}
             cells = [
                 f"{figures[key][0] / scale:.4g} / {figures[key][1] / scale:.4g} {word}"

@@ -12,7 +12,7 @@ function startLive(section, data) {
     made.append(...children);
     return made;
   };
-  const controls = [];
+  const controls = [], restored = [];
   let at = Live.begin(data, "centre"), waiting = false, speaking = 0;
   const start = Live.all(data, at);
 
@@ -24,20 +24,24 @@ function startLive(section, data) {
     const value = element("output", { for: id });
     const mark = element("span", { class: "far" });
     const row = element("div", { class: "live-row" }, element("label", { for: id }, label), value, range, exact, mark);
+    let refused = "";
     parent.append(row);
-    range.addEventListener("input", () => { set(Number(range.value)); follow(); });
+    range.addEventListener("input", () => { refused = ""; set(Number(range.value)); follow(); });
     exact.addEventListener("change", () => {
-      const wanted = exact.valueAsNumber;
-      if (Number.isFinite(wanted)) set(Math.min(high, Math.max(low, wanted)));
+      const { value: wanted, said } = Live.taken(exact.valueAsNumber, low, high, (number) => shown(number, unit));
+      refused = said;
+      if (wanted !== null) set(wanted);
+      if (said) exact.value = read(get()); // the field has the focus, and is not written again
       follow();
     });
+    restored.push(() => { refused = ""; });
     controls.push(() => {
       const now = get();
       range.value = now;
       range.setAttribute("aria-valuetext", shown(now, unit));
       if (document.activeElement !== exact) exact.value = read(now);
       value.textContent = shown(now, unit);
-      mark.textContent = far() ? "outside the region" : "";
+      mark.textContent = [refused, far() ? "outside the region" : ""].filter(Boolean).join("; ");
     });
   }
 
@@ -178,7 +182,7 @@ function startLive(section, data) {
 
   section.addEventListener("click", (event) => {
     const wanted = event.target.dataset?.begin;
-    if (wanted) { at = Live.begin(data, wanted); follow(); }
+    if (wanted) { restored.forEach((forget) => forget()); at = Live.begin(data, wanted); follow(); }
   });
   $("download").addEventListener("click", () => {
     const link = element("a", { download: `${data.name}.toml`,

@@ -21,9 +21,11 @@ from rvjax.commands.allocate import (
     shortfall_text,
     shown_values,
     tolerance_tables,
+    unlimited_tables,
+    unlimited_texts,
 )
 from rvjax.commands.budget import section_on
-from rvjax.commands.cells import share
+from rvjax.commands.cells import condition_text, share
 from rvjax.commands.report import live
 from rvjax.commands.report.bearings import bearing_section
 from rvjax.commands.report.compute import Shown
@@ -88,7 +90,8 @@ def page_of(found: Shown, source: str, *, date: str = "") -> str:
     """
     answer, drawn = found.answer, {figure.name: figure for figure in figures(found.answer)}
     study = answer.study
-    result = Section("Result", (requirement_table(answer), *tolerance_tables(answer)))
+    unlimited = unlimited_tables(answer.unlimited, answer.study)
+    result = Section("Result", (requirement_table(answer), *unlimited, *tolerance_tables(answer)))
     sections: list[Content] = [result, _requirements(answer, drawn), _tolerances(drawn)]
     sections += [live.block(found.surrogate, answer)] if found.surrogate else []
     sections += [design_section(study), _influence(answer, drawn)]
@@ -109,7 +112,7 @@ def page_of(found: Shown, source: str, *, date: str = "") -> str:
             "about": {name: text for name, text in about.items() if text},
             "intro": leading_comment(study.text),
             "code": answer.allocation.status,
-            "said": " ".join(_shortfalls(answer)),
+            "said": " ".join([*_shortfalls(answer), *unlimited_texts(answer.unlimited, study)]),
             "boxes": _boxes(answer),
             "caveats": limits_of_the_answer(answer),
             "origin": {"command": f"rvjax report {shlex.quote(source)}", "seed": seeds, "units": units},
@@ -203,9 +206,11 @@ def _tolerances(drawn: dict[str, Figure]) -> Section:
 
 
 def _influence(answer: Answer, drawn: dict[str, Figure]) -> Section:
+    units = " or ".join(dict.fromkeys(f"{found.units:,}" for found in answer.after.influence.values()))
     text = Note(
-        "With the tolerances after: the derivative of each response to one element of an error (root mean square over "
-        "its elements), and the share of the error in the variance of the response."
+        f"With the tolerances after, of {units} units: the derivative of each response to one element of an error "
+        "(mean over the units, root mean square over its elements), and the share of the error in the variance: the "
+        "units are compared with units in which this error is sampled again."
     )
     return Section("Which error matters", (text, *influence_tables(answer), drawn["variance_shares"]))
 
@@ -272,21 +277,15 @@ def _levels(answer: Answer) -> Section:
         rows.append([Titled(name, study.output(name).meaning), choice.level, wanted, bound, spent, choice.why])
     short = [Text(title) for title in ("required accuracy", "its error", "time of a unit")]
     columns = [Text("response"), Text("level", wraps=True), *short, Text("why", wraps=True)]
+    about = {f.name: f.metadata for f in dataclasses.fields(study.conditions)}
     conditions = ", ".join(
-        f"{_words(key)} = {_plain(value)}"
+        f"{_words(key)} = {condition_text(value, about[key])}"
         for key in models.kind(study.design).conditions_of(outputs)
         if (value := getattr(study.conditions, key)) is not None
     )
     text = (
         "A level is one way to compute a response. Errors and times are measured; the table comes with "
-        f"rvjax. Times were measured on the computer of the table.\nConditions, SI: {conditions}."
+        f"rvjax. Times were measured on the computer of the table.\nConditions: {conditions}."
     )
     fold = "Level of each response, measured errors and times, conditions"
     return Section("Accuracy of the computation", (Table("levels", columns, rows), Note(text)), fold=fold)
-
-
-def _plain(value: object) -> str:
-    """A condition as text: a table by its rows."""
-    if isinstance(value, tuple):
-        return "; ".join(_plain(row) if isinstance(row, tuple) else f"{row:.4g}" for row in value)
-    return str(value)

@@ -6,9 +6,11 @@ import numpy as np
 
 from rvjax._jax.blocks import PULLED
 from rvjax.commands.allocate import Answer
+from rvjax.outputs import Output
 from rvjax.population import Population, root_key
 from rvjax.response import elements, numbers_of
 from rvjax.status import MEANING, Status
+from rvjax.tolerances import Limits
 from rvjax.units import readable
 
 EACH = 2  # worst units of a requirement
@@ -73,10 +75,9 @@ def rows_of(answer: Answer, unit: WorstUnit) -> dict[str, object]:
     if unit.requirement:
         shares = side.shares[unit.requirement]
         fields = sorted((f for f in study.fields if shares[f] >= SHARE_SHOWN), key=lambda f: -shares[f])
-        name, size = study.output(unit.requirement).shown
-        margin = study.requirements[unit.requirement].margin(unit.values[unit.requirement]) / size
-        place = f"{abs(margin):.3g} {name} {'beyond' if margin > 0 else 'within'} the limit"
-        title, reason = f"Unit {unit.index:,}: {unit.requirement.replace('_', ' ')}, {place}", f"status {unit.status}"
+        requirement, output = study.requirements[unit.requirement], study.output(unit.requirement)
+        place = against_limit(unit.values[unit.requirement], requirement, output)
+        title, reason = f"Unit {unit.index:,}: {unit.requirement.replace('_', ' ')} {place}", f"status {unit.status}"
     else:
         fields, title = study.fields, f"Unit {unit.index:,} failed"
         reason = f"status {unit.status}: {MEANING[Status[unit.status]]}"
@@ -98,5 +99,16 @@ def rows_of(answer: Answer, unit: WorstUnit) -> dict[str, object]:
     return {"title": title, "said": f"{responses}; {reason}", "rows": rows}
 
 
-def _words(name: str) -> str:
-    return name.replace("_", " ")
+def against_limit(value: float, requirement: Limits, output: Output) -> str:
+    """A value and its nearer limit, such as "4,780 h, below 6000 h".
+
+    Args:
+        value: SI.
+        requirement: with limits of the value.
+        output: what the value is.
+    """
+    unit, size = output.shown
+    beyond = {"below": requirement.lower - value, "above": value - requirement.upper}
+    side = max(beyond, key=lambda name: beyond[name])
+    limit = f"{(requirement.lower if side == 'below' else requirement.upper) / size:.4g} {unit}"
+    return f"{value / size:,.4g} {unit}, {side if beyond[side] > 0 else 'limit'} {limit}"
