@@ -226,7 +226,7 @@ class Study:
     @property
     def doubts(self) -> list[str]:
         """Numbers far from those of every known reducer, a line each."""
-        return doubts(self.design, self.conditions, self.tolerances)
+        return doubts(self.design, self.conditions, self.tolerances, self.forms)
 
     @property
     def assumed(self) -> list[str]:
