@@ -68,6 +68,10 @@ def test_what_is_far_from_every_known_reducer_is_said(old, new, words):
     ("old", "new", "words"),
     [
         ('"15 rpm"', '"15000 rpm"', "duty[0].output_speed = 1.5e+04 r/min: known reducers have up to 75 r/min"),
+        (
+            'runout = "15 um" # drives', 'runout = "10 mm" # drives',
+            "tolerances.disc_centre: runout = 10 mm: known reducers have 2 um to 160 um; check the unit",
+        ),
         ('= "412 N m"\noutput_speed', '= "-412 kN m"\noutput_speed', "duty[0].output_torque = 412 kN m"),
         (
             "[conditions]", '[design.bearings.arm]\ncapacity = "31000 kN"\n[conditions]',

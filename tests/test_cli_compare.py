@@ -68,6 +68,14 @@ def test_requirements_of_one_side_are_a_line(answered, here, capsys):
     said = capsys.readouterr().out
     assert "\nRequirements only in A: misfit (<= 30 um)\nRequirements only in B: life (>= 6000 h)\n" in said
     assert len(re.findall(r"\b(?:misfit|life)\b", said)) == 2 and "differs" not in said
+    other = json.loads((out / "result.json").read_text())
+    other["tolerances"]["pin_radius"]["after"]["upper"] *= 1 + 1e-14  # of another computer
+    (here / "b.json").write_text(json.dumps(other))
+    assert cli.main(["compare", str(out), "b.json"]) == 0
+    topics = ["run", "cost", "tolerances before", "tolerances after", "requirements"]
+    topics += [f"variance of {name}, after" for name in other["shares"]["after"]]
+    same = capsys.readouterr().out.partition("The same in both:\n")[2].splitlines()
+    assert same == [f"  {topic}: all" for topic in topics]
 
 
 @pytest.mark.parametrize("content", [None, "{", "[]", '{"study": 1}', "\0"])

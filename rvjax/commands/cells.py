@@ -26,17 +26,6 @@ def limits_of(study: Study, field: str, tolerance: Tolerance) -> Zone:
     return Zone(*ends, stated=form.stated, drawn=drawn)
 
 
-def stated_by(study: Study, field: str) -> tuple[str, float]:
-    """The words that state a tolerance, and their number in half-widths: ("half-width", 1), ("runout", 4).
-
-    Args:
-        study: that the error belongs to.
-        field: name of the error.
-    """
-    form = study.forms.get(field)
-    return (form.stated, form.half_widths) if form is not None and form.stated else ("half-width", 1.0)
-
-
 def limit_text(requirement: Limits, output: Output) -> str:
     """The limits of a response, such as "<= 1 arcmin".
 

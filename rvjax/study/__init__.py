@@ -19,6 +19,7 @@ from rvjax.study.read import EMBEDDED, embedded_names, load, parse_study
 from rvjax.study.response import CURVE as CURVE, Response as Response, refuse as refuse
 from rvjax.study.rewrite import template as study_template
 from rvjax.study.study import Study, StudyError
+from rvjax.study.toleranced import stated_by as stated_by
 from rvjax.study.values import choice, integer, known, naming, quantity, subtable
 from rvjax.study.variables import (
     Law as Law,

@@ -6,6 +6,7 @@ A wrong unit in a file is not detected elsewhere.
 import dataclasses
 import math
 from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +17,7 @@ from rvjax.errors import described
 from rvjax.life import dynamic_rating, static_rating
 from rvjax.outputs import Output
 from rvjax.records import Design, PyTree
+from rvjax.study.toleranced import Form, stated_by
 from rvjax.study.values import Metadata
 from rvjax.tolerances import Cost, Limits, Middle, Tolerance
 from rvjax.units import rpm
@@ -59,8 +61,13 @@ def refuse_impossible(design: Design, tolerances: PyTree, costs: dict[str, Cost]
                 raise ValueError(f"{name}: {span}, as large as the part itself, {shown(part, unit)}")
 
 
-def doubts(design: PyTree, conditions: "DataclassInstance", tolerances: PyTree) -> list[str]:
-    """Numbers that are far from those of every known reducer, a line each."""
+def doubts(
+    design: PyTree,
+    conditions: "DataclassInstance",
+    tolerances: PyTree,
+    forms: Mapping[str, Form] = MappingProxyType({}),
+) -> list[str]:
+    """Numbers that are far from those of every known reducer, a line each; tolerances as the file states them."""
     found = [f"design.{line}" for line in steep(design) + doubtful(design)]
     for f in dataclasses.fields(conditions):
         if f.metadata["torque"] and isinstance(design, RVReducer):
@@ -73,8 +80,10 @@ def doubts(design: PyTree, conditions: "DataclassInstance", tolerances: PyTree) 
     found += _of_another_size(design, "conditions.rated_torque", abs(getattr(conditions, "rated_torque", None) or 0.0))
     for field, tolerance, about in _toleranced(tolerances):
         half, unit = float(tolerance.half_width), about["unit"]
+        what, times = stated_by(forms, field)
         if half and unit in HALF_WIDTH:
-            found += doubt(f"tolerances.{field}: half-width", half, unit, *HALF_WIDTH[unit])
+            ends = [times * end for end in (half, *HALF_WIDTH[unit])]
+            found += doubt(f"tolerances.{field}: {what}", ends[0], unit, *ends[1:])
     given = {name for name, _, _ in _toleranced(tolerances)}
     found += [
         f"tolerances.{name}: {bound.placed} is the same error with its place, and sampled separately; without {name} "

@@ -228,7 +228,7 @@ class Study:
         """Numbers, process ranges and limits far from those of every known reducer, a line each."""
         outputs = {name: self.output(name) for name in self.requirements}
         return [
-            *doubts(self.design, self.conditions, self.tolerances),
+            *doubts(self.design, self.conditions, self.tolerances, self.forms),
             *doubtful_costs(self.costs, self.tolerances),
             *doubtful_limits(self.requirements, outputs),
         ]

@@ -92,6 +92,17 @@ def forms(table: Toml) -> dict[str, Form]:
     return found
 
 
+def stated_by(forms: Mapping[str, Form], field: str) -> tuple[str, float]:
+    """The words that state a tolerance, and their number in half-widths: ("half-width", 1), ("runout", 4).
+
+    Args:
+        forms: of the study.
+        field: name of the error.
+    """
+    form = forms.get(field)
+    return (form.stated, form.half_widths) if form is not None and form.stated else ("half-width", 1.0)
+
+
 def _ring(table: Toml) -> Toml:
     """Tolerances of each pin of the ring, with the common share `batch`."""
     where = f"tolerances.{RING}"

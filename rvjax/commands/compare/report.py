@@ -81,7 +81,7 @@ def _differences(results: Mapping[str, Result], topics: Topics) -> Iterator[Note
         if differing := {name: row for name, row in rows.items() if not row["same"]}:
             yield _topic(topic, differing)
         if same := [name for name, row in rows.items() if row["same"]]:
-            listed = ", ".join(same) if len(same) <= LISTED else f"{len(same)} others"
+            listed = "; ".join(same) if len(same) <= LISTED else f"{len(same)} others"
             equal.append(f"  {topic}: {'all' if len(same) == len(rows) else listed}")
     if equal:
         yield Note("\n".join(["The same in both:", *equal]))

@@ -1,6 +1,7 @@
 """Two results folders side by side: what each found, and what differs."""
 
 import json
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -53,7 +54,7 @@ def compared(first: Result, second: Result) -> Topics:
     found: Topics = {}
     try:
         for topic, name, unit, a, b in _rows(first, second):
-            found.setdefault(topic, {})[name] = {"unit": unit, "a": a, "b": b, "same": a == b}
+            found.setdefault(topic, {})[name] = {"unit": unit, "a": a, "b": b, "same": _same(a, b)}
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"not both are results of rvjax allocate ({error!r})") from None
     return found
@@ -97,6 +98,12 @@ def _rows(first: Result, second: Result) -> Iterator[tuple[str, str, str, PyTree
     for name in _names(first, second, "shares", "after"):
         for field in _names(first, second, "shares", "after", name):
             yield both(f"variance of {name}, after", field, "share", "shares", "after", name, field)
+
+
+def _same(a: PyTree, b: PyTree) -> bool:
+    """Equal, but for rounding."""
+    numbers = isinstance(a, float) and isinstance(b, float)
+    return a == b or (numbers and math.isclose(a, b, rel_tol=1e-9))
 
 
 def _at(found: PyTree, *keys: str) -> PyTree:

@@ -7,13 +7,13 @@ import jax
 import jax.numpy as jnp
 from markupsafe import Markup
 
-from rvjax.commands.cells import limit_text, stated_by
+from rvjax.commands.cells import limit_text
 from rvjax.commands.design.compute import Designed
 from rvjax.commands.design.prices import nominal_limit, unit_of_number
 from rvjax.commands.report import cost_data, script_of
 from rvjax.plotting import words
 from rvjax.render import Block
-from rvjax.study import Study, number_at
+from rvjax.study import Study, number_at, stated_by
 from rvjax.units import mm, readable
 
 NEAR = 0.1  # of the range of a variable, or of a half-width: a change beyond it is marked
@@ -59,7 +59,7 @@ def data(study: Study, found: Designed) -> dict[str, Any]:
         )
     for name, half in joint.half_widths.items():
         (unit, size), cost = readable(study.unit(name)), study.costs[name]
-        what, half_widths = stated_by(study, name)
+        what, half_widths = stated_by(study.forms, name)
         sign = "±" if what == "half-width" else what
         size /= half_widths  # the slider has the number of the drawing
         before = float(getattr(study.tolerances, name).half_width) / size

@@ -5,10 +5,10 @@ import math
 import jax
 import jax.numpy as jnp
 
-from rvjax.commands.cells import limit_text, stated_by
+from rvjax.commands.cells import limit_text
 from rvjax.commands.design.compute import Designed, Point
 from rvjax.render import Note
-from rvjax.study import Study, fields_of
+from rvjax.study import Study, fields_of, stated_by
 from rvjax.units import arcmin, mm, readable
 
 BINDING = 1e-6  # least change of the cost, per doubled limit (from 0: per unit it is read in), of a binding limit
@@ -100,7 +100,7 @@ def prices(study: Study, found: Designed) -> Note:
     """
     joint, said = found.joint, []
     for field in joint.found.costs:
-        (name, size), (what, half_widths) = readable(study.unit(field)), stated_by(study, field)
+        (name, size), (what, half_widths) = readable(study.unit(field)), stated_by(study.forms, field)
         said.append((f"1 {name} of the {what} of {field}", -slope(study, joint, field) * size / half_widths))
     for name in joint.found.multipliers:
         output = study.output(name)

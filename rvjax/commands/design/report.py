@@ -18,7 +18,6 @@ from rvjax.commands.cells import (
     limits_data,
     limits_of,
     share,
-    stated_by,
 )
 from rvjax.commands.design import live
 from rvjax.commands.design.compute import Designed, Point
@@ -38,7 +37,7 @@ from rvjax.render import (
     Titled,
     leading_comment,
 )
-from rvjax.study import Study, fields_of, number_at, outside, shown
+from rvjax.study import Study, fields_of, number_at, outside, shown, stated_by
 from rvjax.units import readable
 
 
@@ -184,7 +183,7 @@ def _tolerances(study: Study, found: Designed) -> Table:
     ]
     rows: list[list[Any]] = []
     for field in study.fields:
-        (name, size), (_, half_widths) = readable(study.unit(field)), stated_by(study, field)
+        (name, size), (_, half_widths) = readable(study.unit(field)), stated_by(study.forms, field)
         limits = [limits_of(study, field, getattr(side, field)) for side in (study.tolerances, joint.tolerances)]
         price = f"{-slope(study, found.joint, field) * size / half_widths:.3g} /{name}" if field in joint.costs else "-"
         rows.append([field, *limits, joint.costs.get(field), price])

@@ -10,11 +10,10 @@ import numpy as np
 from markupsafe import Markup
 
 from rvjax.commands.allocate import Answer
-from rvjax.commands.cells import stated_by
 from rvjax.commands.report.surrogate import COMPARED, Surrogate, grows_from_lower, placed
 from rvjax.plotting import words
 from rvjax.render import Block, micro
-from rvjax.study import study_template
+from rvjax.study import stated_by, study_template
 from rvjax.tolerances import Cost, CpkAtLeast, Exponential, Limits, MeanWithin, ReciprocalPower, Requirement, SdAtMost
 from rvjax.units import readable
 
@@ -67,7 +66,7 @@ def data(found: Surrogate, answer: Answer) -> dict[str, Any]:
     own = found.place(study.tolerances)
     parameters: list[dict[str, Any]] = []
     for k, p in enumerate(found.parameters):
-        (unit, size), (what, half_widths) = readable(study.unit(p.field)), stated_by(study, p.field)
+        (unit, size), (what, half_widths) = readable(study.unit(p.field)), stated_by(study.forms, p.field)
         size /= 1.0 if p.place else half_widths  # a slider has the number of the drawing
         low, high = _range(found, k, answer)
         at = {"own": own[k], **({} if graded is None else {"graded": graded[k]})}
@@ -122,7 +121,11 @@ def _range(found: Surrogate, k: int, answer: Answer) -> tuple[float, float]:
 
 def _field(name: str, found: Surrogate, answer: Answer) -> dict[str, Any]:
     study, tolerance = answer.study, getattr(answer.after.tolerances, name)
-    (unit, size), (what, half_widths), form = readable(study.unit(name)), stated_by(study, name), study.forms.get(name)
+    (unit, size), (what, half_widths), form = (
+        readable(study.unit(name)),
+        stated_by(study.forms, name),
+        study.forms.get(name),
+    )
     places = {p.place: k for k, p in enumerate(found.parameters) if p.field == name}
     given, cost = getattr(study.tolerances, name), study.costs.get(name)
     priced = None if cost is None else cost_data(cost, size)
