@@ -254,7 +254,7 @@ def test_power_is_the_mean_square_of_units():
     sizes = RVErrors(**jax.tree.map(np.abs, sigma))
     found = dynamics.error_statistics(DESIGN, sizes, sun_speed=SPEED, load_inertia=3.0)
     flat, back = ravel_pytree(sigma)
-    alone = jax.lax.map(lambda row: respond(back(row), SPEED).amplitude, jnp.diag(flat), batch_size=32)
+    alone = jax.lax.map(lambda row: response(DESIGN, back(row), SPEED, 3.0).amplitude, jnp.diag(flat), batch_size=32)
     np.testing.assert_allclose(found.power, np.sum(np.abs(alone) ** 2, axis=0), rtol=1e-10, atol=1e-30)
     np.testing.assert_allclose(found.pseudo_power, np.sum(np.asarray(alone) ** 2, axis=0), rtol=1e-9, atol=1e-22)
     assert (found.power >= np.abs(found.pseudo_power) * (1 - 1e-12)).all() and found.power[0, 0] > 0

@@ -1,5 +1,6 @@
 """Statuses, their precedence, and `check`."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -30,26 +31,37 @@ def test_every_status_has_its_place():
 
 
 def test_the_worst_of_several_is_the_first_by_precedence():
+    compiled = jax.jit(worst, static_argnames="axis")
     for better, status in zip(PRECEDENCE[1:], PRECEDENCE):
-        assert int(worst(jnp.array([int(better), int(status)]))) == status
-    rows = jnp.array([[0, int(Status.UNLOADED)], [int(Status.SINGULAR), int(Status.CHANGE_POINT)]])
-    assert list(worst(rows, axis=1)) == [Status.UNLOADED, Status.CHANGE_POINT]
+        assert int(compiled(np.array([int(better), int(status)]))) == status
+    rows = np.array([[0, int(Status.UNLOADED)], [int(Status.SINGULAR), int(Status.CHANGE_POINT)]])
+    assert compiled(rows, axis=1).tolist() == [Status.UNLOADED, Status.CHANGE_POINT]
 
 
 def test_first_failure_does_not_depend_on_the_order_of_its_checks():
-    checks = [(jnp.array([True, True, False]), Status.SINGULAR), (jnp.array([True, False, False]), Status.NONFINITE)]
+    first, second = np.array([True, True, False]), np.array([True, False, False])
     expected = [Status.NONFINITE, Status.SINGULAR, Status.CONVERGED]
-    assert list(first_failure(*checks)) == list(first_failure(*checks[::-1])) == expected
+
+    @jax.jit
+    def both(first, second):
+        checks = (first, Status.SINGULAR), (second, Status.NONFINITE)
+        return first_failure(*checks), first_failure(*checks[::-1])
+
+    assert [found.tolist() for found in both(first, second)] == [expected] * 2
 
 
 def test_a_gate_lets_values_stand_that_their_status_only_describes():
     """Lanes: sound, at a change point, without a root, refused (and then whatever its harmless numbers gave)."""
-    refused, here = jnp.array([False, False, False, True]), jnp.arange(4)
-    inputs, gate = admit(jnp.array([1.0, 2.0, 3.0, jnp.nan]), 0.5, (refused, Status.INVALID_GEOMETRY))
-    assert list(inputs) == [1.0, 2.0, 3.0, 0.5]
-    found_wrong = ((here == 1, Status.CHANGE_POINT), (here == 2, Status.NO_BRACKET), (here == 3, Status.SINGULAR))
-    values, info = gate.close(2 * inputs, *found_wrong)
-    assert list(info.status) == [
+
+    @jax.jit
+    def lanes(inputs, here):
+        inputs, gate = admit(inputs, 0.5, (here == 3, Status.INVALID_GEOMETRY))
+        found_wrong = ((here == 1, Status.CHANGE_POINT), (here == 2, Status.NO_BRACKET), (here == 3, Status.SINGULAR))
+        return inputs, *gate.close(2 * inputs, *found_wrong)
+
+    inputs, values, info = lanes(np.array([1.0, 2.0, 3.0, np.nan]), np.arange(4))
+    assert inputs.tolist() == [1.0, 2.0, 3.0, 0.5]
+    assert info.status.tolist() == [
         Status.CONVERGED,
         Status.CHANGE_POINT,
         Status.NO_BRACKET,
