@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from typing import Any
 
-from rvjax.outputs import Curve, Description, Joint, Observation, Output
+from rvjax.outputs import Curve, Description, Joint, Observation, Output, Source, Work
 
 MODELS = (
     "rvjax.four_bar",
@@ -30,6 +30,7 @@ class Kind:
         described: description of the model that has an output, by its name.
         observed: descriptions of the models that a bench can measure, by the name of the model.
         joints: results that are cheaper computed together.
+        work: equilibria that a result takes.
     """
 
     conditions: type
@@ -37,6 +38,7 @@ class Kind:
     described: Mapping[str, Description]
     observed: Mapping[str, Description]
     joints: tuple[Joint, ...] = ()
+    work: Mapping[Source, Work] = dataclasses.field(default_factory=dict)
 
     def observations(self, model: str) -> dict[str, Observation]:
         """Observations of a model on a bench, by kind of data."""
@@ -108,7 +110,9 @@ def _kind(design: type, known: tuple[Description, ...]) -> Kind:
             described[name] = description
     outputs = {name: description.outputs[name] for name, description in described.items()}
     observed = {one.name: one for one in mine if one.observations}
-    return Kind(_joined(mine), outputs, described, observed, tuple(joint for one in mine for joint in one.joints))
+    joints = tuple(joint for one in mine for joint in one.joints)
+    work = {source: own for one in mine for source, own in one.work.items()}
+    return Kind(_joined(mine), outputs, described, observed, joints, work)
 
 
 def _joined(known: list[Description]) -> type:

@@ -15,6 +15,7 @@ from rvjax.units import KNOWN, readable
 Solved = tuple[Any, Any]  # value and status
 Spectrum = tuple[Any, Any]  # mean and complex amplitudes of a curve
 Source = Callable[[Any, Any, Any], Any]  # (design, errors, conditions) -> a result
+Work = Callable[[Any], tuple[str, int]]  # (conditions) -> kind and number of the equilibria of a result
 
 
 def torque_condition(conditions: PyTree) -> str:
@@ -286,6 +287,7 @@ class Description:
         costly: whether a unit takes so long that an allocation solves only the units that decide.
         parts: optional parts of a design that no other model reads.
         joints: results, its own and those of models above it, that are cheaper computed together.
+        work: equilibria that a result of it takes; their measured times are in `rvjax.levels`.
     """
 
     name: str
@@ -300,3 +302,4 @@ class Description:
     costly: bool = False
     parts: tuple[str, ...] = ()
     joints: tuple[Joint, ...] = ()
+    work: Mapping[Source, Work] = dataclasses.field(default_factory=dict)

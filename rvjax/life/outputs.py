@@ -268,4 +268,5 @@ DESCRIPTION = Description(
     costly=True,
     parts=("bearings",),
     joints=(Joint((turn, rated), turned_and_rated),),
+    work={rated: lambda given: ("life", (given.life_samples or given.samples) * len(given.duty))},
 )

@@ -163,6 +163,14 @@ def _of_turn(unit: str, meaning: str, name: str, refuse: Refuse | None = None) -
     return Output(unit, meaning, Reading((turn,), _figure(name)), refuse=refuse)
 
 
+def _along(given: Conditions) -> tuple[str, int]:
+    return "turn", given.samples
+
+
+def _at_the_bench(given: Conditions) -> tuple[str, int]:
+    return "bench", 2 * given.probe_angles
+
+
 NEEDS = ("rated_torque",)
 DESCRIPTION = Description(
     name="loaded",
@@ -240,4 +248,5 @@ DESCRIPTION = Description(
     unknown="friction, inertia, tilting; errors without a place (pin position, runout and pitch as bounds)",
     compiler_options=QUICK,
     costly=True,
+    work={turn: _along, second_turn: _along, LOST_MOTION: _at_the_bench},
 )  # fmt: skip

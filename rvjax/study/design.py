@@ -117,7 +117,9 @@ def _flat(cls: type, table: object, where: str) -> Iterator[tuple[str, PyTree]]:
     """(path, value) of the numbers of a part, complete or not."""
     numbers = table if isinstance(table, dict) else {}
     parts = {f.name for f in dataclasses.fields(cls) if f.metadata["kind"] == "record"} & set(numbers)
-    yield from _values(cls, table if not parts else {k: v for k, v in numbers.items() if k not in parts}, where, None).items()
+    yield from _values(
+        cls, table if not parts else {k: v for k, v in numbers.items() if k not in parts}, where, None
+    ).items()
     for key in sorted(parts):
         inner = _flat(part_class(cls, key), numbers[key], f"{where}.{key}")
         yield from ((f"{key}.{path}", value) for path, value in inner)

@@ -10,6 +10,7 @@ from rvjax.commands.init.inputs import Inputs
 from rvjax.commands.init.numbers import Known, in_unit, known, lines
 from rvjax.commands.init.question import question
 from rvjax.designs import RollerBearing, RVReducer
+from rvjax.records import PyTree
 from rvjax.study import EMBEDDED, MODIFICATIONS, Assumed, StudyError, completed, load, number_at, parse_study, walk
 
 FOUR_BAR, LOADED = "four-bar", "loaded"
@@ -17,6 +18,9 @@ MODELS = (LOADED, FOUR_BAR)
 QUESTIONS = {"rv": "rv-40e", "oscillatory-roller": "corr"}
 PARTS = {FOUR_BAR: ("involute", "cycloid", "cranks")}
 PARTS[LOADED] = (*PARTS[FOUR_BAR], "stiffness", "contact", "bearings")
+UNREAD = """# The loaded model uses the teeth, base circles and pressure angle of the gears, and K1 = e zp / rp = {k1:.4g}. It does not use
+# the module, the centre distance, the radius of the sun and a published K1, so that no contradiction remains.
+"""
 BEARING = "cranks.bearing_stiffness"
 ABOUT = """[about] # for the head of reports; every line may go
 revision = "A"
@@ -89,7 +93,9 @@ def _four_bar(given: Known) -> Written:
 def _assumed_for_four_bar(given: Known) -> dict[str, Assumed]:
     """Unpublished values that the study requires, assumed as in the study of the RV-40E."""
     example = load("rv-40e", solve=False).design
-    found = {path: item for path, item in completed(given.numbers).items() if given.drawing and path != MODIFICATIONS[0]}
+    found = {
+        path: item for path, item in completed(given.numbers).items() if given.drawing and path != MODIFICATIONS[0]
+    }
     if not any(given.numbers.get(path) for path in MODIFICATIONS):
         found |= {path: Assumed(number_at(example, path), "assumed") for path in MODIFICATIONS}
     if given.numbers.get(BEARING) is None:
@@ -99,7 +105,11 @@ def _assumed_for_four_bar(given: Known) -> dict[str, Assumed]:
 
 def _loaded(given: Known) -> Written:
     # Modifications that a four-bar study assumes take up its bearing clearance; here they would press the pins.
-    own = {path: x for path, x in given.numbers.items() if path not in MODIFICATIONS or not ASSUMED.search(given.said.get(path, ""))}
+    own = {
+        path: x
+        for path, x in given.numbers.items()
+        if path not in MODIFICATIONS or not ASSUMED.search(given.said.get(path, ""))
+    }
     given = replace(given, numbers=own)
     more = completed(own)
     numbers = {**own, **{path: item.value for path, item in more.items()}}
@@ -109,7 +119,7 @@ def _loaded(given: Known) -> Written:
     rest = question(numbers, RollerBearing(**arm), given.torque, whole)
     head = (
         f"# A study of the loaded reducer to change, with the numbers of the {given.name}: replace them by those of your\n"
-        "# drawing, then run rvjax check on this file. A line with \"assumed\" has no published value: it comes from the\n"
+        '# drawing, then run rvjax check on this file. A line with "assumed" has no published value: it comes from the\n'
         "# nearest known reducer, by the named scaling law of rvjax/study/scaling.toml where sizes differ.\n\n"
     )
     return Written(_joined(given, more, head, rest, LOADED), LOADED, given.name, _warnings(given, more))
@@ -125,12 +135,21 @@ def _joined(given: Known, more: Mapping[str, Assumed], head: str, rest: str, mod
     except StudyError as contradiction:  # published so: possible by name alone
         if given.drawing:
             raise
-        own = "\n".join(lines(cls, given, more, parts, only=True))
-        named = f'base = "{given.name}" # its published values contradict each other: {contradiction}\n{own}'
+        own = "\n".join(lines(cls, given, more, parts, only=True)).lstrip("\n")
+        named = f'base = "{given.name}" # its published values contradict each other: {contradiction}\n'
+        named += UNREAD.format(k1=_k1(given.numbers)) if model == LOADED else ""
+        named += own
     return head + named + "\n\n" + rest
+
+
+def _k1(numbers: Mapping[str, PyTree]) -> float:
+    e, pins, ring = (numbers[f"cycloid.{name}"] for name in ("eccentricity", "pin_count", "pin_circle_radius"))
+    return float(e * pins / ring)
 
 
 def _warnings(given: Known, more: Mapping[str, Assumed]) -> tuple[str, ...]:
     far = dict.fromkeys(line for item in (*more.values(), given.torque) if item is not None for line in item.outside)
-    unread = [f"{given.name}: not taken over: {', '.join(f'[{name}]' for name in given.unread)}"] if given.unread else []
+    unread = (
+        [f"{given.name}: not taken over: {', '.join(f'[{name}]' for name in given.unread)}"] if given.unread else []
+    )
     return (*far, *unread)

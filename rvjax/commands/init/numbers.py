@@ -89,15 +89,19 @@ def _drawn(path: Path) -> Known:
         if not table:
             raise ValueError('[design] is missing or empty: a drawing has kind = "rv" and its numbers')
         base = table.get("base")
-        kind = BASES[choice(base, BASES, "design.base")].kind if base else choice(table.get("kind"), ["rv"], "design.kind")
+        kind = (
+            BASES[choice(base, BASES, "design.base")].kind if base else choice(table.get("kind"), ["rv"], "design.kind")
+        )
         if kind != RVReducer.kind:
             raise ValueError(f"design.base = {base!r}: must be an RV reducer")
         numbers = given_numbers(table)
         if missing := lacking(numbers):
             raise ValueError(f"[design] lacks {'; '.join(missing)}")
         said = dict.fromkeys(catalogue.assumed(str(base)), "assumed") if base else {}
-        said |= {name: words for name, words in comments(text).items() if words}
-        return Known(str(path), kind, numbers, said, _torque(subtable(tables, "conditions"), numbers), True, _unread(tables))
+        said |= comments(text)
+        return Known(
+            str(path), kind, numbers, said, _torque(subtable(tables, "conditions"), numbers), True, _unread(tables)
+        )
 
 
 def _torque(conditions: Mapping[str, object], numbers: Mapping[str, PyTree]) -> Assumed:
@@ -124,23 +128,24 @@ def lines(
         given: numbers with a source.
         more: assumed numbers.
         parts: that are written.
-        only: assumed numbers only, as changes of a base.
+        only: only parts with assumed numbers, as changes of a base.
     """
     numbers = {**given.numbers, **{path: item.value for path, item in more.items()}}
-    standard, last = _standard(numbers), ""
+    standard, last, changed = _standard(numbers), "", {path.rpartition(".")[0] for path in more}
     for path, about, default in fields_of_kind(cls):
         part = path.rpartition(".")[0]
         if path.split(".")[0] not in parts and part or path not in numbers or numbers[path] is None:
             continue
-        if (only and path not in more) or (standard and part == "involute" and path.split(".")[1] in FOLLOWS):
+        if (only and part not in changed) or (standard and part == "involute" and path.split(".")[1] in FOLLOWS):
             continue
         if part != last:
             last = part
             yield ""
         item = more.get(path)
-        reason = item.why if item is not None else given.said.get(path, "")
+        meaning = str(about["meaning"])
+        reason = item.why if item is not None else given.said.get(path, "").removeprefix(meaning).removeprefix("; ")
         value = _text(numbers[path], about, exact=item is None)
-        yield f"{path} = {value} # {'; '.join(filter(None, [str(about['meaning']), reason]))}"
+        yield f"{path} = {value} # {'; '.join(filter(None, [meaning, reason]))}"
 
 
 def _standard(numbers: Mapping[str, PyTree]) -> bool:
@@ -172,5 +177,4 @@ def in_unit(value: float, unit: str, digits: int = 4) -> str:
         digits: that are written.
     """
     name = unit if unit == "N m/rad" else shown(value, unit).split(" ", 1)[1]
-    return f"{value / KNOWN.get(unit, {}).get(name, 1.0):.{digits}g} {name}"
-
+    return f"{float(f'{value / KNOWN.get(unit, {}).get(name, 1.0):.{digits}g}'):.12g} {name}"

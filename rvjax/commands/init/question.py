@@ -12,9 +12,11 @@ from rvjax.units import um
 
 BASE = "rv-40e-whole"
 ARM = "bearings.arm.pitch_diameter"
-_LINE = re.compile(r'(?P<key>\w+)(?P<gap> *= *)"(?P<word>diametral )?(?P<number>-?[\d.]+) (?P<unit>[^"]+)"(?: *# *(?P<said>.*))?')
+_LINE = re.compile(
+    r'(?P<key>\w+)(?P<gap> *= *)"(?P<word>diametral )?(?P<number>-?[\d.]+) (?P<unit>[^"]+)"(?: *# *(?P<said>.*))?'
+)
 RULE = """# Tolerances, costs and process ranges are assumed. They are those of the study rv-40e-whole in proportion to the tolerance
-# unit of ISO 286, i = 0.45 D^(1/3) + 0.001 D, of the size that each belongs to. Angles and costs stay.
+# unit of ISO 286, i = 0.45 D^(1/3) + 0.001 D, of the size that each belongs to (in brackets). Angles and prices stay.
 
 """
 
@@ -68,12 +70,14 @@ def _line(
     if table[:2] == ["requirement", "arm_bearing_force"]:
         return f'{head}"{in_unit(limit, "N", 6)}" # {said}'
     if key == "size":
-        return match[0] if bore == 1 else f'{head}"{_bore(bore) * 1e3:.6g} mm" # assumed: follows the turning-arm bearing'
+        return (
+            match[0] if bore == 1 else f'{head}"{_bore(bore) * 1e3:.6g} mm" # assumed: follows the turning-arm bearing'
+        )
     names = [f"{table[1]}.{key}", table[1]] if len(table) == 2 else []
     if table[0] == "requirement" and table[1] != "misfit" or unit != "um":
         return match[0]
     ratio, size = next((ratios[name] for name in names if name in ratios), (1.0, ""))
     if ratio == 1 or not number:
         return match[0]
-    reason = f"assumed: {ratio:g} times, size of the {size}"
+    reason = f"assumed: {ratio:g} times that of the RV-40E ({size})"
     return f'{head}"{match["word"] or ""}{number * ratio:.6g} um" # {"; ".join(filter(None, [said, reason]))}'
