@@ -81,7 +81,7 @@ def main():
         "# Measured by `python -m benchmarks.equilibria`, which writes this file.",
         f"pins = {design.cycloid.pin_count * design.cycloid.disc_count} # of all discs",
         *(f"\n[{kind}]\n" + "\n".join(f"{law} = {us}" for law, us in by_law.items()) for kind, by_law in found.items()),
-        f'\n[machine]\nprocessor = "{about["processor"]}"\ncores = {about["cores"]}\njax = "{about["jax"]}"',
+        f'\n[measured_on]\nprocessor = "{about["processor"]}"\ncores = {about["cores"]}\njax = "{about["jax"]}"',
     ]
     place.write_text("\n".join(lines) + "\n", "utf-8")
 

@@ -138,7 +138,7 @@ def test_the_force_of_an_arm_bearing_has_the_static_safety_of_its_own_bearing(ba
 
 
 def test_further_discs_are_side_by_side():
-    """Three discs of the RV-320E: the spacing of two of the RV-40E in proportion to the width, the span longer by one."""
+    """Three discs of the RV-320E: the spacing of the RV-40E in proportion to the width, the span longer by one."""
     bearings, width = read(written("rv-320e").text).design.bearings, 114 / 64
     np.testing.assert_allclose(bearings.disc_position, np.array([14e-3, 26e-3, 38e-3]) * width, rtol=1e-3)
     assert bearings.support_span == pytest.approx(52e-3 * width, rel=1e-3)

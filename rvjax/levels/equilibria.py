@@ -46,4 +46,4 @@ def seconds(design: PyTree, results: Iterable[tuple[Source, Any]]) -> float | No
         if each is None:
             return None
         total += 1e-6 * each * count * design.cycloid.pin_count * design.cycloid.disc_count / table["pins"]
-    return total / table["machine"]["cores"]
+    return total / table["measured_on"]["cores"]

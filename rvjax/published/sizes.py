@@ -2,7 +2,8 @@
 
 Two numbers of the model are calibrated on one size: the springs of the RV-40E (`rv-40e-whole`, assumed) get a common
 factor. Every other size is the RV-40E with all lengths times the cube root of the ratio of rated torques, and with the
-springs that follow them by the scaling laws of studies, those of another size among them. Teeth and cranks of the other sizes are those of the RV-40E.
+springs that follow them by the scaling laws of another size. Teeth and cranks of the other sizes are those of the
+RV-40E.
 """
 
 import math

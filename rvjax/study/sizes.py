@@ -7,7 +7,6 @@ import dataclasses
 import functools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,9 +21,6 @@ from rvjax.study.read import load
 from rvjax.study.values import Metadata
 from rvjax.study.variables import AXIAL, NAMES, OF_A_SIZE, SIZES, Law, changed, number_at, outside
 from rvjax.units import mm
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
 
 RING, CIRCLE, DISCS = "cycloid.pin_circle_radius", "cranks.circle_radius", "cycloid.disc_count"
 NEEDED = (
@@ -85,10 +81,12 @@ def completed(given: Mapping[str, PyTree]) -> dict[str, Assumed]:
     numbers = {**given, **{path: item.value for path, item in found.items()}}
     follows = {path: numbers[path] for path in NAMES if path in numbers}
     for path, _, default in fields_of_kind(RVReducer):
-        required = default is dataclasses.MISSING or _law_of(path) is not None
-        if path.split(".")[0] in PARTS and required and path not in numbers and path not in PLACES:
-            if near := [name for name in OWN if number_at(OWN[name], path)]:
-                found[path] = _scaled(path, follows, _nearest(numbers[RING], near))
+        if path.split(".")[0] not in PARTS or path in numbers or path in PLACES:
+            continue
+        if default is not dataclasses.MISSING and _law_of(path) is None:
+            continue
+        if near := [name for name in OWN if number_at(OWN[name], path)]:
+            found[path] = _scaled(path, follows, _nearest(numbers[RING], near))
     if not any(path in numbers for path in PLACES):
         found |= _places(follows, numbers[DISCS])
     if not any(numbers.get(path) for path in MODIFICATIONS):
@@ -158,7 +156,7 @@ def _scaled(path: str, follows: Mapping[str, Scalar], name: str) -> Assumed:
 
 
 def _reason(law: Law | None, donor: RVReducer, target: RVReducer, name: str) -> tuple[str, tuple[str, ...]]:
-    """Why a number is assumed, and what lies outside the interval."""
+    """Reason of an assumed number, and lines on ratios outside the interval."""
     same = f"assumed: as the {called(name)}"
     if law is None:
         return same, ()

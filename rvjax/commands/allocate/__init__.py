@@ -13,7 +13,7 @@ from rvjax.commands.allocate.report import (
     limits_of_the_answer as limits_of_the_answer,
     report_on as report_on,
     requirement_table as requirement_table,
-    shortfall_text as shortfall_text,
     tolerance_tables as tolerance_tables,
     tolerance_text as tolerance_text,
 )
+from rvjax.commands.allocate.shortfall import shortfall_text as shortfall_text, shortfalls as shortfalls

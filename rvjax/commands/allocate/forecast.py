@@ -21,22 +21,24 @@ COSTLY_PASSES, COSTLY_CERTIFICATES, COSTLY_PART_OF_A_POINT = 8, 1.8, 0.6
 
 
 def solved_units(study: Study) -> dict[str, int]:
-    """Estimate the number of solved units in each phase of a run."""
+    """Estimate the number of solved units in each phase of a run, in their order."""
     middles, drawn, points = bool(study.middles), study.certificate_samples, len(targets(study))
     shown = 2 * SHOWN_VALUES if drawn > KEPT else 0
     if study.costly:
         found = {
             SEARCHING: COSTLY_PASSES * study.samples + COSTLY_CERTIFICATES * drawn,
             CERTIFYING: 0,  # units of the search
+            SAMPLING: shown,
             PRICING: points * COSTLY_PART_OF_A_POINT * (study.samples + drawn / 2),
         }
     else:
         found = {
             SEARCHING: PASSES[middles] * study.samples + CERTIFICATES[middles] * drawn,
             CERTIFYING: drawn,
+            SAMPLING: shown,
             PRICING: points * (PASSES_A_POINT * study.samples + shown_values(study)),
         }
-    return {phase: int(units) for phase, units in found.items()} | {SAMPLING: shown}
+    return {phase: int(units) for phase, units in found.items()}
 
 
 def targets(study: Study) -> list[float]:

@@ -63,8 +63,8 @@ def whole_line(study: Study, source: str) -> str:
         return ""
     base = source if source.endswith(".toml") else study.base or source
     return (
-        "the loaded reducer: every pin, both stages, bearing life, pin pressure and bearing forces, lost motion as on a "
-        f"test bench; rvjax init NEW.toml --base {base} writes its study"
+        "the loaded reducer: every pin, both stages, bearing life, pin pressure and bearing forces, lost motion as on "
+        f"a test bench; rvjax init NEW.toml --base {base} writes its study"
     )
 
 

@@ -18,8 +18,8 @@ MODELS = (LOADED, FOUR_BAR)
 QUESTIONS = {"rv": "rv-40e", "oscillatory-roller": "corr"}
 PARTS = {FOUR_BAR: ("involute", "cycloid", "cranks")}
 PARTS[LOADED] = (*PARTS[FOUR_BAR], "stiffness", "contact", "bearings")
-UNREAD = """# The loaded model uses the teeth, base circles and pressure angle of the gears, and K1 = e zp / rp = {k1:.4g}. It does not use
-# the module, the centre distance, the radius of the sun and a published K1, so that no contradiction remains.
+UNREAD = """# The loaded model uses teeth, base circles and pressure angle of the gears, and K1 = e zp / rp = {k1:.4g}.
+# It does not use module, centre distance, radius of the sun and a published K1, so that no contradiction remains.
 """
 BEARING = "cranks.bearing_stiffness"
 ABOUT = """[about] # for the head of reports; every line may go
@@ -118,9 +118,9 @@ def _loaded(given: Known) -> Written:
     arm = {path.rpartition(".")[2]: x for path, x in numbers.items() if path.startswith("bearings.arm.")}
     rest = question(numbers, RollerBearing(**arm), given.torque, whole)
     head = (
-        f"# A study of the loaded reducer to change, with the numbers of the {given.name}: replace them by those of your\n"
-        '# drawing, then run rvjax check on this file. A line with "assumed" has no published value: it comes from the\n'
-        "# nearest known reducer, by the named scaling law of rvjax/study/scaling.toml where sizes differ.\n\n"
+        f"# A study of the loaded reducer to change, with the numbers of the {given.name}: replace them by those of\n"
+        '# your drawing, then run rvjax check on this file. A line with "assumed" has no published value. It has that\n'
+        "# of the nearest known reducer, by a scaling law of rvjax/study/scaling.toml where sizes differ.\n\n"
     )
     return Written(_joined(given, more, head, rest, LOADED), LOADED, given.name, _warnings(given, more))
 

@@ -35,7 +35,7 @@ FILE_PARTS = {"design", "conditions", "about"}
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of the reducer of a new study.
+    """The reducer of a new study, as its source gives it.
 
     Attributes:
         name: of the known reducer, or of the file of the drawing.
@@ -132,9 +132,9 @@ def lines(
     """
     numbers = {**given.numbers, **{path: item.value for path, item in more.items()}}
     standard, last, changed = _standard(numbers), "", {path.rpartition(".")[0] for path in more}
-    for path, about, default in fields_of_kind(cls):
+    for path, about, _ in fields_of_kind(cls):
         part = path.rpartition(".")[0]
-        if path.split(".")[0] not in parts and part or path not in numbers or numbers[path] is None:
+        if (path.split(".")[0] not in parts and part) or path not in numbers or numbers[path] is None:
             continue
         if (only and part not in changed) or (standard and part == "involute" and path.split(".")[1] in FOLLOWS):
             continue

@@ -15,8 +15,9 @@ ARM = "bearings.arm.pitch_diameter"
 _LINE = re.compile(
     r'(?P<key>\w+)(?P<gap> *= *)"(?P<word>diametral )?(?P<number>-?[\d.]+) (?P<unit>[^"]+)"(?: *# *(?P<said>.*))?'
 )
-RULE = """# Tolerances, costs and process ranges are assumed. They are those of the study rv-40e-whole in proportion to the tolerance
-# unit of ISO 286, i = 0.45 D^(1/3) + 0.001 D, of the size that each belongs to (in brackets). Angles and prices stay.
+RULE = """# Tolerances, costs and process ranges are assumed. They are those of the study rv-40e-whole in proportion to
+# the tolerance unit of ISO 286, i = 0.45 D^(1/3) + 0.001 D, of the size that each belongs to (in brackets).
+# Angles and prices stay.
 
 """
 
@@ -74,7 +75,7 @@ def _line(
             match[0] if bore == 1 else f'{head}"{_bore(bore) * 1e3:.6g} mm" # assumed: follows the turning-arm bearing'
         )
     names = [f"{table[1]}.{key}", table[1]] if len(table) == 2 else []
-    if table[0] == "requirement" and table[1] != "misfit" or unit != "um":
+    if (table[0] == "requirement" and table[1] != "misfit") or unit != "um":
         return match[0]
     ratio, size = next((ratios[name] for name in names if name in ratios), (1.0, ""))
     if ratio == 1 or not number:
