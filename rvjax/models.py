@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from typing import Any
 
-from rvjax.outputs import Curve, Description, Joint, Observation, Output, Usual
+from rvjax.outputs import Curve, Description, Joint, Observation, Output, Source, Usual, Work
 
 MODELS = (
     "rvjax.four_bar",
@@ -31,6 +31,7 @@ class Kind:
         observed: descriptions of the models that a bench can measure, by the name of the model.
         joints: results that are cheaper computed together.
         usual: usual limits by output.
+        work: equilibria that a result takes.
     """
 
     conditions: type
@@ -39,6 +40,7 @@ class Kind:
     observed: Mapping[str, Description]
     joints: tuple[Joint, ...] = ()
     usual: Mapping[str, Usual] = dataclasses.field(default_factory=dict)
+    work: Mapping[Source, Work] = dataclasses.field(default_factory=dict)
 
     def observations(self, model: str) -> dict[str, Observation]:
         """Observations of a model on a bench, by kind of data."""
@@ -112,7 +114,8 @@ def _kind(design: type, known: tuple[Description, ...]) -> Kind:
     observed = {one.name: one for one in mine if one.observations}
     joints = tuple(joint for one in mine for joint in one.joints)
     usual = {name: limit for one in mine for name, limit in one.usual.items()}
-    return Kind(_joined(mine), outputs, described, observed, joints, usual)
+    work = {source: own for one in mine for source, own in one.work.items()}
+    return Kind(_joined(mine), outputs, described, observed, joints, usual, work)
 
 
 def _joined(known: list[Description]) -> type:

@@ -15,6 +15,7 @@ from rvjax.units import KNOWN, arcsec, readable
 Solved = tuple[Any, Any]  # value and status
 Spectrum = tuple[Any, Any]  # mean and complex amplitudes of a curve
 Source = Callable[[Any, Any, Any], Any]  # (design, errors, conditions) -> a result
+Work = Callable[[Any], tuple[str, int]]  # (conditions) -> kind and number of the equilibria of a result
 
 
 KNOWN_ERROR = 10 * arcsec
@@ -308,6 +309,7 @@ class Description:
         parts: optional parts of a design that no other model reads.
         joints: results, its own and those of models above it, that are cheaper computed together.
         usual: usual limits by output, also those of outputs of models above it.
+        work: equilibria that a result of it takes; their measured times are in `rvjax.levels`.
     """
 
     name: str
@@ -323,3 +325,4 @@ class Description:
     parts: tuple[str, ...] = ()
     joints: tuple[Joint, ...] = ()
     usual: Mapping[str, Usual] = dataclasses.field(default_factory=dict)
+    work: Mapping[Source, Work] = dataclasses.field(default_factory=dict)

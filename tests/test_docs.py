@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from rvjax import catalogue, cli, models, published, study
+from rvjax.commands.init.compute import written
 from rvjax.designs import RVReducer
 from rvjax.plotting import drawings
 from rvjax.units import mm, um
@@ -55,10 +56,17 @@ def test_the_page_of_studies_names_every_part():
 
 
 def test_the_study_of_the_docs_is_a_study():
-    (text,) = blocks("study.md", "toml")
+    text, _ = blocks("study.md", "toml")
     question = study.parse_study(text, name="docs", solve=False)
     assert question.design.cycloid.eccentricity == pytest.approx(1.25e-3)
     assert list(question.costs) == ["crank_eccentricity"] and list(question.requirements) == ["transmission_error"]
+
+
+def test_the_drawing_of_the_docs_gives_a_study(tmp_path):
+    _, drawing = blocks("study.md", "toml")
+    (tmp_path / "drawing.toml").write_text(drawing)
+    question = study.parse_study(written(str(tmp_path / "drawing.toml")).text, name="docs", solve=False)
+    assert question.design.ratio == 121 and question.conditions.rated_torque == 784 and "life" in question.requirements
 
 
 @pytest.mark.long  # test_models.py has a model of one package and one line

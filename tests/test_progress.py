@@ -38,10 +38,10 @@ def test_what_is_left_follows_the_pace_so_far():
     clock.now = 20  # twice as slow
     run.begin("searching")
     assert run.left() == pytest.approx(60 + 20)
-    clock.now = 110  # 90 s in a phase of 30: its end is due, and the rest takes three times as long
-    assert run.left() == pytest.approx(30)
+    clock.now = 110  # 90 s in a phase of 30: a share of them to its end, and the rest takes three times as long
+    assert run.left() == pytest.approx(0.2 * 90 + 30)
     run.detail("7 steps")
-    assert run.line().split(": ") == ["phase 2 of 3, about 30 s left, 90 s in", "searching, 7 steps"]
+    assert run.line().split(": ") == ["phase 2 of 3, about 48 s left, 90 s in", "searching, 7 steps"]
 
 
 def test_the_rest_of_a_counted_phase_follows_from_its_part():

@@ -13,6 +13,8 @@ from collections.abc import Callable, Iterator, Mapping
 from contextvars import ContextVar
 from typing import Any, TextIO
 
+OVERRUN = 0.2  # of the time of a phase so far: the rest of a phase beyond its expected time
+
 
 class Phases:
     """The phases of one run and how far it is."""
@@ -75,8 +77,8 @@ class Phases:
             return None
         pace = (sum(self.spent.values()) + self.trusted) / (done + self.trusted)
         rest = sum(seconds for name, seconds in self.expected.items() if name not in self.spent and name != self.name)
-        # A phase that takes longer than expected lengthens the estimate of the rest.
-        return max(0.0, pace * here - now) + max(pace, now / here if here else 0.0) * rest
+        # A phase that takes longer than expected lengthens the estimate of the rest, and has a share of its time to go.
+        return max(pace * here - now, OVERRUN * now) + max(pace, now / here if here else 0.0) * rest
 
     def line(self) -> str:
         """Current text of the line."""

@@ -1,6 +1,8 @@
 """Forecast of a computation: warnings, levels, seconds of a unit."""
 
+import dataclasses
 import sys
+from typing import Any
 
 from rvjax import levels
 from rvjax.commands.speak import say
@@ -27,8 +29,17 @@ def level_lines(study: Study) -> list[str]:
 
 def unit_seconds(study: Study) -> float | None:
     """Time of one unit on two cores, or None where a level was never measured."""
-    found = [choice.ns for choice in choices(study).values()]
-    return None if None in found else 1e-9 * sum(ns for ns in found if ns is not None)
+    found, results = 0.0, dict[tuple[Any, Any], None]()  # several outputs read one result
+    for name, choice in choices(study).items():
+        if sources := levels.sources_of(study.design, choice.instead or name):
+            given = dataclasses.replace(study.conditions, **dict(choice.settings))
+            results |= dict.fromkeys((source, given) for source in sources)
+        elif choice.ns is None:
+            return None
+        else:
+            found += 1e-9 * choice.ns
+    solved = levels.seconds(study.design, results)
+    return None if solved is None else found + solved
 
 
 def forewarn(study: Study, time: str = "") -> None:

@@ -1,6 +1,7 @@
 """Speed against accuracy, measured: every level of every model against its exact one, and the cheapest that holds."""
 
 from rvjax.levels.choice import Choice, as_given, choose
+from rvjax.levels.equilibria import seconds, sources_of
 from rvjax.levels.measure import measure, measure_model, measured
 from rvjax.levels.table import Level as Level, Model as Model, Table, advice, report, stored
 
@@ -14,5 +15,7 @@ __all__ = [
     "measure_model",
     "measured",
     "report",
+    "seconds",
+    "sources_of",
     "stored",
 ]

@@ -281,4 +281,5 @@ DESCRIPTION = Description(
         "life": Usual(lambda design: (LIFE, np.inf), "catalogue life at rated torque and 15 r/min"),
         "arm_bearing_force": Usual(_static, "C0/1.5/2.5: static safety 1.5 at start and stop, 2.5 times rated torque"),
     },
+    work={rated: lambda given: ("life", (given.life_samples or given.samples) * len(given.duty))},
 )

@@ -164,6 +164,14 @@ def _of_turn(unit: str, meaning: str, name: str, refuse: Refuse | None = None, l
     return Output(unit, meaning, Reading((turn,), _figure(name)), refuse=refuse, least=least)
 
 
+def _along(given: Conditions) -> tuple[str, int]:
+    return "turn", given.samples
+
+
+def _at_the_bench(given: Conditions) -> tuple[str, int]:
+    return "bench", 2 * given.probe_angles
+
+
 NEEDS = ("rated_torque",)
 PRESSURE = 2800 * MPa
 """Usual limit of a contact pressure of pins."""
@@ -249,4 +257,5 @@ DESCRIPTION = Description(
             lambda design: (-np.inf, PRESSURE), "static safety 2: 4000 MPa dents hardened rollers (ISO 76)"
         )
     },
+    work={turn: _along, second_turn: _along, LOST_MOTION: _at_the_bench},
 )  # fmt: skip

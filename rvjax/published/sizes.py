@@ -2,7 +2,8 @@
 
 Two numbers of the model are calibrated on one size: the springs of the RV-40E (`rv-40e-whole`, assumed) get a common
 factor. Every other size is the RV-40E with all lengths times the cube root of the ratio of rated torques, and with the
-springs that follow them by the scaling laws of studies. Teeth and cranks of the other sizes are those of the RV-40E.
+springs that follow them by the scaling laws of another size. Teeth and cranks of the other sizes are those of the
+RV-40E.
 """
 
 import math
@@ -28,11 +29,8 @@ STEEL = 7850.0
 """Density, kg/m3."""
 PUBLISHED = 108.0
 """Torsional stiffness of the RV-40E, N m/arcmin: what the springs are calibrated on."""
-SIZES = {
-    "cycloid.pin_circle_radius": 1, "cycloid.pin_radius": 1, "cycloid.eccentricity": 1, "contact.face_width": 1,
-    "involute.module": 1, "stiffness.sun_planet_mesh": 1, "stiffness.sun_support": 1, "stiffness.sun_torsion": 3,
-}  # fmt: skip
-"""Exponent of the ratio of lengths for what no scaling law of a study gives: lengths, gears as wide in proportion."""
+LENGTHS = ("cycloid.pin_circle_radius", "involute.module")
+"""Lengths that all other numbers follow by the scaling laws of another size, as in `rvjax init`."""
 
 
 @cache
@@ -54,7 +52,7 @@ def similar(torque: float) -> RVReducer:
     """
     ratio = (torque / TORQUE["40e"]) ** (1 / 3)
     base = _study().design
-    design: RVReducer = study.scaled(base, {path: ratio**power * _number(base, path) for path, power in SIZES.items()})
+    design: RVReducer = study.scaled(base, {path: ratio * _number(base, path) for path in LENGTHS}, whole=True)
     return design
 
 

@@ -7,11 +7,12 @@ design that contradicts itself keeps its numbers as long as nothing of that part
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from rvjax import catalogue, models
+from rvjax._reducer.plausible import walk
 from rvjax.catalogue import part_class
 from rvjax.designs import InvoluteStage, RVReducer
 from rvjax.records import Design, PyTree, Record, Scalar
@@ -94,6 +95,34 @@ def parse_design(table: Toml) -> PyTree:
         raise ValueError("design.base and design.kind: give one of them")
     kinds = models.kinds()
     return followed(_made(kinds[choice(table["kind"], kinds, "design.kind")], numbers, "design"), numbers)
+
+
+def given_numbers(table: Toml) -> dict[str, PyTree]:
+    """Numbers of a table [design] by path, SI; with a base all of them, else those that the table gives.
+
+    Args:
+        table: `base` and changes to it, or `kind` and any numbers.
+
+    Raises:
+        ValueError: names the key, its value and the unit.
+    """
+    if "kind" not in table or "base" in table:
+        return {path: value for path, value, _ in walk(parse_design(table))}
+    kinds = models.kinds()
+    numbers = {key: value for key, value in table.items() if key != "kind"}
+    return dict(_flat(kinds[choice(table["kind"], kinds, "design.kind")], numbers, "design"))
+
+
+def _flat(cls: type, table: object, where: str) -> Iterator[tuple[str, PyTree]]:
+    """(path, value) of the numbers of a part, complete or not."""
+    numbers = table if isinstance(table, dict) else {}
+    parts = {f.name for f in dataclasses.fields(cls) if f.metadata["kind"] == "record"} & set(numbers)
+    yield from _values(
+        cls, table if not parts else {k: v for k, v in numbers.items() if k not in parts}, where, None
+    ).items()
+    for key in sorted(parts):
+        inner = _flat(part_class(cls, key), numbers[key], f"{where}.{key}")
+        yield from ((f"{key}.{path}", value) for path, value in inner)
 
 
 def _changed(record: Record, changes: object, where: str) -> PyTree:

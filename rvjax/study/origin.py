@@ -85,7 +85,7 @@ def design_numbers(design: PyTree, given: Toml, text: str) -> list[Number]:
             origin = f"{base}: {said}" if said else base
         else:
             origin, said = "default", ""
-        found.append(Number(path, value, about["unit"], about["meaning"], origin, bool(catalogue.ASSUMED.search(said))))
+        found.append(Number(path, value, about["unit"], about["meaning"], origin, is_assumed(said)))
     return found
 
 
@@ -111,16 +111,26 @@ def _derived(design: PyTree, path: str, value: Scalar) -> str:
     return f"derived: {how[path][1]}"
 
 
-def comments(text: str) -> dict[str, str]:
-    """The comment at each number of a design in a study file, by its path; that of its header if it says "assumed"."""
+def comments(text: str, table: str = "design") -> dict[str, str]:
+    """The comment at each key of a table in a study file, by its path; that of its header if it says "assumed".
+
+    Args:
+        text: of the study.
+        table: such as "design" or "requirement".
+    """
     found, section, heading = dict[str, str](), "", ""
     for line in text.splitlines():
         if header := re.match(r"\s*\[([^\]]*)\]\s*(?:#\s*(.*))?", line):
             section, heading = header[1].strip(), header[2] or ""
-        elif section.split(".")[0] == "design" and (key := re.match(r"\s*([\w.-]+)\s*=[^#]*(?:#\s*(.*))?$", line)):
+        elif section.split(".")[0] == table and (key := re.match(r"\s*([\w.-]+)\s*=[^#]*(?:#\s*(.*))?$", line)):
             path = ".".join([*section.split(".")[1:], key[1]])
             found[path] = "; ".join(filter(None, [key[2], heading if heading.startswith("assumed") else ""]))
     return found
+
+
+def is_assumed(text: str) -> bool:
+    """True if a comment marks a value as not published."""
+    return bool(catalogue.ASSUMED.search(text))
 
 
 def _same(value: PyTree, other: PyTree) -> bool:

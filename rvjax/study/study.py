@@ -16,7 +16,7 @@ from rvjax.levels import Choice, choose
 from rvjax.outputs import Curve, Output
 from rvjax.records import PyTree, Scalar
 from rvjax.study.identification import Identification
-from rvjax.study.origin import Number, design_numbers, given_paths
+from rvjax.study.origin import Number, comments, design_numbers, given_paths, is_assumed
 from rvjax.study.plausible import doubtful_costs, doubtful_limits, doubts
 from rvjax.study.response import DesignResponse, Response, check_nominal, followed_bounds
 from rvjax.study.toleranced import Form, forms
@@ -237,6 +237,13 @@ class Study:
     def assumed(self) -> list[str]:
         """Paths of the unpublished values of the design, as marked in the base or in the study."""
         return [number.path for number in self.numbers if number.assumed]
+
+    @property
+    def assumed_limits(self) -> set[str]:
+        """Responses whose limit the study marks as assumed."""
+        entries = tomllib.loads(self.text).get("requirement", {})
+        said = [path.partition(".")[0] for path, text in comments(self.text, "requirement").items() if is_assumed(text)]
+        return {entries[key].get("response", key) for key in said}
 
     def design_with(self, values: Mapping[str, Scalar], *, similar: bool = True) -> PyTree:
         """The design with other numbers, and with all that follows from them.

@@ -39,6 +39,7 @@ class Law:
         follows: {path of the number that changes: exponent of its ratio}.
         interval: ratios of these numbers within which the scaling law is used.
         source: of the scaling law.
+        whole: for a reducer of another size only, not where single numbers change.
     """
 
     name: str
@@ -46,19 +47,26 @@ class Law:
     follows: Mapping[str, float]
     interval: tuple[float, float]
     source: str
+    whole: bool = False
 
 
-LAWS = tuple(
+OF_A_SIZE = tuple(
     Law(
         entry["name"],
         tuple(entry["numbers"]),
         {_FILE["numbers"][key]: float(power) for key, power in entry["follows"].items()},
         (float(entry["interval"][0]), float(entry["interval"][1])),
         entry["source"],
+        entry.get("whole", False),
     )
     for entry in _FILE["law"]
 )
 """Ordered: a number that follows comes before the numbers that follow it."""
+LAWS = tuple(law for law in OF_A_SIZE if not law.whole)
+NAMES: dict[str, str] = {path: name for name, path in _FILE["numbers"].items()}
+"""Short names of the numbers that scaling laws read, by their path."""
+SIZES: tuple[dict[str, PyTree], ...] = tuple(_FILE["tolerance"])
+"""Sizes that tolerances belong to."""
 
 GEARS = LAWS[0]  # kinematics: gears that do not obey it do not mesh
 AXIAL = next(law for law in LAWS if "bearings.disc_position" in law.numbers)  # discs of another width have other places
@@ -96,7 +104,12 @@ def _replaced(record: PyTree, changes: Mapping[str, PyTree]) -> PyTree:
 
 
 def changed(
-    design: PyTree, values: Mapping[str, Scalar], given: Collection[str] = (), *, similar: bool = True
+    design: PyTree,
+    values: Mapping[str, Scalar],
+    given: Collection[str] = (),
+    *,
+    similar: bool = True,
+    whole: bool = False,
 ) -> PyTree:
     """The design with other numbers, and with all that follows.
 
@@ -105,13 +118,14 @@ def changed(
         values: {path: new value}, SI; they may be traced.
         given: paths of numbers that the study gives: they do not follow.
         similar: False: without scaling laws; only gears, crank circle and K1 follow.
+        whole: a reducer of another size; also with the scaling laws that hold only there.
     """
     stands, new = {*values, *given}, dict[str, PyTree](values)
     if not isinstance(design, RVReducer):
         return _replaced(design, new)
     if set(PROFILE) & set(values) and "cycloid.shortening" not in stands:
         new["cycloid.shortening"] = None
-    for law in LAWS if similar else (GEARS,):
+    for law in (OF_A_SIZE if whole else LAWS) if similar else (GEARS,):
         ratios = {p: new[p] / number_at(design, p) for p in law.follows if new.get(p) is not None}
         for path in law.numbers if ratios else ():
             own = number_at(design, path)
@@ -149,13 +163,14 @@ def _there(design: Design, path: str) -> bool:
     return own is not None and bool(jnp.any(jnp.asarray(own) != 0))
 
 
-def outside(before: Design, after: Design, laws: Collection[Law]) -> list[str]:
+def outside(before: Design, after: Design, laws: Collection[Law], of: str = "the study") -> list[str]:
     """Numbers whose ratio lies outside the interval of a scaling law, a line each.
 
     Args:
         before: the design of the study.
         after: the design that was found.
         laws: scaling laws that were used.
+        of: name of the design before.
     """
     found = []
     for path in dict.fromkeys(path for law in laws for path in law.follows):
@@ -164,7 +179,7 @@ def outside(before: Design, after: Design, laws: Collection[Law]) -> list[str]:
         ratio = float(number_at(after, path) / was)
         for law in (law for law in laws if path in law.follows and not law.interval[0] <= ratio <= law.interval[1]):
             most = f"from {law.interval[0]:g} to {law.interval[1]:g} times (assumed)"
-            found.append(f"{path}: {ratio:.3g} times that of the study; {law.name} follow it {most}")
+            found.append(f"{path}: {ratio:.3g} times that of {of}; {law.name} follow it {most}")
     return found
 
 

@@ -13,9 +13,9 @@ from rvjax.commands.allocate.report import (
     limits_of_the_answer as limits_of_the_answer,
     report_on as report_on,
     requirement_table as requirement_table,
-    shortfall_text as shortfall_text,
     tolerance_tables as tolerance_tables,
 )
+from rvjax.commands.allocate.shortfall import shortfall_text as shortfall_text, shortfalls as shortfalls
 from rvjax.commands.allocate.whole import (
     unlimited_tables as unlimited_tables,
     unlimited_texts as unlimited_texts,

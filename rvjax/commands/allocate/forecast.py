@@ -21,23 +21,23 @@ COSTLY_PASSES, COSTLY_CERTIFICATES, COSTLY_PART_OF_A_POINT = 8, 1.8, 0.6
 
 
 def solved_units(study: Study) -> dict[str, int]:
-    """Estimate the number of solved units in each phase of a run."""
+    """Estimate the number of solved units in each phase of a run, in their order."""
     middles, drawn, points = bool(study.middles), study.certificate_samples, len(targets(study))
     shown = 2 * SHOWN_VALUES if drawn > KEPT else 0
     if study.costly:
         found = {
             SEARCHING: COSTLY_PASSES * study.samples + COSTLY_CERTIFICATES * drawn,
             CERTIFYING: 0,  # units of the search
-            SAMPLING: COSTLY_UNITS * (1 + len(study.fields)),
+            SAMPLING: COSTLY_UNITS * (1 + len(study.fields)) + shown,
             PRICING: points * COSTLY_PART_OF_A_POINT * (study.samples + drawn / 2),
         }
     else:
         found = {
             SEARCHING: PASSES[middles] * study.samples + CERTIFICATES[middles] * drawn,
             CERTIFYING: drawn,
+            SAMPLING: shown,
             PRICING: points * (PASSES_A_POINT * study.samples + shown_values(study)),
         }
-    found[SAMPLING] = found.get(SAMPLING, 0) + shown
     return {phase: int(units) for phase, units in found.items()}
 
 

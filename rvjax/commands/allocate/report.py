@@ -12,6 +12,7 @@ from rvjax.commands.allocate import kept
 from rvjax.commands.allocate.answer import Answer
 from rvjax.commands.allocate.figures import figures
 from rvjax.commands.allocate.inputs import Inputs
+from rvjax.commands.allocate.shortfall import shortfalls
 from rvjax.commands.allocate.whole import unlimited_tables, unlimited_texts, whole_text
 from rvjax.commands.cells import (
     SHARE_MEANS,
@@ -28,7 +29,6 @@ from rvjax.commands.cells import (
     slope_text,
     together_text,
 )
-from rvjax.outputs import Output
 from rvjax.render import (
     CSV,
     EVERYWHERE,
@@ -114,23 +114,8 @@ def headline(answer: Answer) -> str:
         lines += unlimited_texts(answer.unlimited, study)
     else:
         lines.append("No tolerances within the process ranges were found to meet the requirements; at the finest ones")
-        for name, shortfall in allocation.shortfall.items():
-            if shortfall > 0:
-                lines.append(f"  the limit of {name} {shortfall_text(shortfall, study.output(name))}")
+        lines += [f"  the limit of {name} {text}" for name, text in shortfalls(study, allocation).items()]
     return "\n".join(lines)
-
-
-def shortfall_text(shortfall: float, output: Output) -> str:
-    """Text on a limit that cannot be met, with the limit that could be met.
-
-    Args:
-        shortfall: by how much it is missed, SI.
-        output: what is limited.
-    """
-    if math.isinf(shortfall):
-        return "cannot be met: too many units fail"
-    unit, size = output.shown
-    return f"would have to move by {shortfall / size:.4g} {unit}"
 
 
 def limits_of_the_answer(answer: Answer) -> list[str]:

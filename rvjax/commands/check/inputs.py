@@ -17,10 +17,12 @@ class Inputs:
     Attributes:
         study: to check.
         picture: file of the drawing, or None.
+        source: file of the study, or name of an embedded one.
     """
 
     study: Study
     picture: Path | None
+    source: str = ""
 
 
 def inputs(options: argparse.Namespace) -> Inputs:
@@ -34,4 +36,4 @@ def inputs(options: argparse.Namespace) -> Inputs:
     if options.picture and not isinstance(loaded.design, RVReducer):
         kind = type(loaded.design).__name__
         raise ValueError(f"--picture {options.picture}: plots RV reducers only, not a {kind}")
-    return Inputs(loaded, Path(options.picture) if options.picture else None)
+    return Inputs(loaded, Path(options.picture) if options.picture else None, options.study)

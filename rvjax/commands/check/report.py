@@ -22,13 +22,13 @@ def report(inputs: Inputs, found: Checked) -> Report:
     """
     return Report(
         title=f"{inputs.study.name}: check",
-        content=tuple(_content(inputs.study, found)),
+        content=tuple(_content(inputs.study, found, inputs.source)),
         data=_data(inputs.study, found),
         exports={inputs.picture: drawing(inputs.study.design).content()} if inputs.picture else {},
     )
 
 
-def _content(study: Study, found: Checked) -> list[Note | Table]:
+def _content(study: Study, found: Checked, source: str) -> list[Note | Table]:
     head = [f"Study {study.name}: {type(study.design).__name__}", *filter(None, [study.about.line()])]
     titles = [Text("number"), Text("this study", wraps=True), Text("known reducers", wraps=True)]
     magnitudes = Table("numbers", titles, found.magnitudes)
@@ -62,7 +62,7 @@ def _content(study: Study, found: Checked) -> list[Note | Table]:
         *([costs] if study.costs else []),
         Note("\n".join(["How it will be computed:", *how])),
         *([Note(f"Assumed (not published): {assumed_text(study)}")] if study.assumed else []),
-        Note("\n".join(left)),
+        Note("\n".join([*left, *([f"  {line}"] if (line := whole_line(study, source)) else [])])),
         Note("\n".join(f"warning: {line}" for line in study.doubts) or "No warnings."),
     ]
     return [part for part in said if not isinstance(part, Note) or part.text]
@@ -74,6 +74,22 @@ def _cost(study: Study, field: str) -> list[Cell]:
     half = getattr(study.tolerances, field).half_width
     widths = (shown(width, unit) for width in (cost.finest, half, cost.coarsest))
     return [field, float(cost(half)), *widths]
+
+
+def whole_line(study: Study, source: str) -> str:
+    """Line on the loaded reducer for a study whose outputs it has too; "" for another one.
+
+    Args:
+        study: as read.
+        source: file of the study, or name of an embedded one.
+    """
+    if study.costly or not any(study.output(name).exact for name in study.requirements):
+        return ""
+    base = source if source.endswith(".toml") else study.base or source
+    return (
+        "the loaded reducer: every pin, both stages, bearing life, pin pressure and bearing forces, lost motion as on "
+        f"a test bench; rvjax init NEW.toml --base {base} writes its study"
+    )
 
 
 def _data(study: Study, found: Checked) -> dict[str, object]:

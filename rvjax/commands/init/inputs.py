@@ -1,4 +1,4 @@
-"""Inputs of `rvjax init`: the name of the new file, and a known reducer."""
+"""Inputs of `rvjax init`: the name of the new file, and the reducer."""
 
 import argparse
 from dataclasses import dataclass
@@ -14,12 +14,14 @@ class Inputs:
 
     Attributes:
         file: new one, as named.
-        base: known reducer.
+        base: known reducer, or file of a drawing.
+        model: "loaded" or "four-bar".
         design: a study for `rvjax design`.
     """
 
     file: str
     base: str
+    model: str
     design: bool
 
 
@@ -35,4 +37,4 @@ def inputs(options: argparse.Namespace) -> Inputs:
     check_writable(Path(options.file))
     if options.design and options.base != "rv-40e":
         raise ValueError(f"--design --base {options.base}: the study with variables is of the rv-40e only")
-    return Inputs(options.file, options.base, options.design)
+    return Inputs(options.file, options.base, options.model, options.design)

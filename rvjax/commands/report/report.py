@@ -18,7 +18,7 @@ from rvjax.commands.allocate import (
     limits_of_the_answer,
     report_on,
     requirement_table,
-    shortfall_text,
+    shortfalls,
     shown_values,
     tolerance_tables,
     unlimited_tables,
@@ -133,9 +133,7 @@ def _verdict(answer: Answer) -> str:
 
 def _shortfalls(answer: Answer) -> list[str]:
     lines = [
-        f"The limit of {_words(name)} {shortfall_text(shortfall, answer.study.output(name))}."
-        for name, shortfall in answer.allocation.shortfall.items()
-        if shortfall > 0
+        f"The limit of {_words(name)} {text}." for name, text in shortfalls(answer.study, answer.allocation).items()
     ]
     infeasible = "All columns “after” show the finest tolerances of the processes."
     return lines + ([] if answer.allocation.feasible else [infeasible])

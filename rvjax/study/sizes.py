@@ -1,0 +1,236 @@
+"""Numbers that a drawing does not give, from the nearest known reducer by scaling laws (`scaling.toml`).
+
+Every such number has a reason with the word "assumed", the scaling law and the interval in which it is used.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from rvjax import catalogue
+from rvjax.catalogue import part_class
+from rvjax.designs import InvoluteStage, RVReducer
+from rvjax.life import static_rating
+from rvjax.records import PyTree, Scalar
+from rvjax.study.design import BASES
+from rvjax.study.plausible import RATED
+from rvjax.study.read import load
+from rvjax.study.values import Metadata
+from rvjax.study.variables import AXIAL, NAMES, OF_A_SIZE, SIZES, Law, changed, number_at, outside
+from rvjax.units import mm
+
+RING, CIRCLE, DISCS = "cycloid.pin_circle_radius", "cranks.circle_radius", "cycloid.disc_count"
+NEEDED = (
+    "involute.sun_teeth", "involute.planet_teeth", "involute.module", "cycloid.disc_teeth", "cycloid.pin_count",
+    "cycloid.eccentricity", RING, "cycloid.pin_radius", "cranks.count",
+)  # fmt: skip
+"""Numbers that a drawing must give."""
+PARTS = ("involute", "cycloid", "cranks", "stiffness", "contact", "bearings")
+"""Parts of a design that the loaded model reads."""
+PLACES = ("bearings.disc_position", "bearings.planet_position", "bearings.support_span")
+MODIFICATIONS = ("cycloid.equidistant_modification", "cycloid.shift_modification")
+SAFETY, START = 1.5, 2.5  # assumed: static safety at start and stop, whose torque is 2.5 times the rated one
+
+
+@dataclass(frozen=True)
+class Assumed:
+    """A number that no source gives.
+
+    Attributes:
+        value: SI, or a count.
+        why: where it comes from.
+        outside: the numbers that lie outside the interval of its scaling law, a line each.
+    """
+
+    value: PyTree
+    why: str
+    outside: tuple[str, ...] = ()
+
+
+def fields_of_kind(cls: type, prefix: str = "") -> Iterator[tuple[str, Metadata, object]]:
+    """(path, metadata, default) of every number that a design may have.
+
+    Args:
+        cls: of designs, or of a part.
+        prefix: of the paths.
+    """
+    for f in dataclasses.fields(cls):
+        if f.metadata["kind"] == "record":
+            yield from fields_of_kind(part_class(cls, f.name), f"{prefix}{f.name}.")
+        else:
+            yield prefix + f.name, f.metadata, f.default
+
+
+def lacking(given: Mapping[str, PyTree]) -> list[str]:
+    """Numbers that a drawing must have and that these lack, with their meaning, a line each."""
+    about = {path: metadata for path, metadata, _ in fields_of_kind(RVReducer)}
+    units = {path: "" if about[path]["unit"] == "-" else f", in {about[path]['unit']}" for path in NEEDED}
+    return [f"{path} ({about[path]['meaning']}{units[path]})" for path in NEEDED if path not in given]
+
+
+def completed(given: Mapping[str, PyTree]) -> dict[str, Assumed]:
+    """Numbers of the loaded reducer that are not given, by path.
+
+    Args:
+        given: numbers by path, SI; those in `NEEDED` among them.
+    """
+    found = _geometry(given)
+    numbers = {**given, **{path: item.value for path, item in found.items()}}
+    follows = {path: numbers[path] for path in NAMES if path in numbers}
+    for path, _, default in fields_of_kind(RVReducer):
+        if path.split(".")[0] not in PARTS or path in numbers or path in PLACES:
+            continue
+        if default is not dataclasses.MISSING and _law_of(path) is None:
+            continue
+        if near := [name for name in OWN if number_at(OWN[name], path)]:
+            found[path] = _scaled(path, follows, _nearest(numbers[RING], near))
+    if not any(path in numbers for path in PLACES):
+        found |= _places(follows, numbers[DISCS])
+    if not any(numbers.get(path) for path in MODIFICATIONS):
+        numbers |= {path: item.value for path, item in found.items()}
+        ratio, _ = tolerance_ratios(numbers)["equidistant_modification"]
+        value = load("rv-40e-whole", solve=False).design.cycloid.equidistant_modification
+        much = f"{ratio:.3g} times" if ratio != 1 else "as"
+        found[MODIFICATIONS[0]] = Assumed(ratio * value, f"assumed: {much} that of the study rv-40e-whole")
+    return found
+
+
+OWN: dict[str, RVReducer] = {name: design for name, design in BASES.items() if isinstance(design, RVReducer)}
+del OWN["rv-40e"]  # a part of the whole one
+"""Known reducers, from whose numbers others are scaled."""
+
+
+def _law_of(path: str) -> Law | None:
+    return next((law for law in OF_A_SIZE if path in law.numbers), None)
+
+
+@functools.cache
+def _whole(name: str) -> RVReducer:
+    """A known reducer with every number that a scaling law reads."""
+    design = OWN[name]
+    if design.contact is None:
+        width = changed(catalogue.RV_40E_WHOLE, {RING: design.cycloid.pin_circle_radius}, whole=True).contact
+        design = design.replace(contact=width)
+    return design
+
+
+def called(name: str) -> str:
+    """Name of a known reducer in text, such as "RV-40E"."""
+    return name.upper().removesuffix("-WHOLE")
+
+
+def _nearest(ring: Scalar, names: list[str]) -> str:
+    """The known reducer whose pin circle is nearest by its ratio."""
+    return min(names, key=lambda name: abs(float(np.log(ring / OWN[name].cycloid.pin_circle_radius))))
+
+
+def _geometry(given: Mapping[str, PyTree]) -> dict[str, Assumed]:
+    """Numbers of gears, cranks and discs that a drawing may leave open."""
+    found = dict[str, Assumed]()
+    near = _nearest(given[RING], list(OWN))
+    angle = "involute.pressure_angle"
+    if angle not in given:
+        found[angle] = Assumed(OWN[near].involute.pressure_angle, "assumed: standard")
+    teeth = (given["involute.sun_teeth"], given["involute.planet_teeth"])
+    pressure = given.get(angle, OWN[near].involute.pressure_angle)
+    gears = InvoluteStage.from_teeth(*teeth, module=given["involute.module"], pressure_angle=pressure)
+    for name in ("centre_distance", "sun_radius", "sun_base_radius", "planet_base_radius"):
+        if f"involute.{name}" not in given:
+            found[f"involute.{name}"] = Assumed(getattr(gears, name), "follows from teeth and module")
+    if CIRCLE not in given:
+        centre = given.get("involute.centre_distance", gears.centre_distance)
+        found[CIRCLE] = Assumed(centre, "follows: the centre distance")
+    if DISCS not in given:
+        found[DISCS] = Assumed(OWN[near].cycloid.disc_count, f"assumed: as the {called(near)}")
+    return found
+
+
+def _scaled(path: str, follows: Mapping[str, Scalar], name: str) -> Assumed:
+    """A number of a known reducer, by the scaling law that it follows."""
+    donor = _whole(name)
+    target = changed(donor, follows, whole=True)
+    return Assumed(number_at(target, path), *_reason(_law_of(path), donor, target, name))
+
+
+def _reason(law: Law | None, donor: RVReducer, target: RVReducer, name: str) -> tuple[str, tuple[str, ...]]:
+    """Reason of an assumed number, and lines on ratios outside the interval."""
+    same = f"assumed: as the {called(name)}"
+    if law is None:
+        return same, ()
+    ratios = {path: float(number_at(target, path) / number_at(donor, path)) for path in law.follows}
+    if all(abs(ratio - 1) < 1e-9 for ratio in ratios.values()):
+        return same, ()
+    said = ", ".join(f"{NAMES[path].replace('_', ' ')} {ratio:.3g}" for path, ratio in ratios.items())
+    holds = f"holds for {law.interval[0]:g} to {law.interval[1]:g}"
+    far = tuple(outside(donor, target, [law], f"the {called(name)}"))
+    why = f'assumed: scaling law "{law.name}", {said} of the {called(name)} ({holds})'
+    return why + ("; warning: outside of it" if far else ""), far
+
+
+def _places(follows: Mapping[str, Scalar], discs: int) -> dict[str, Assumed]:
+    """Axial places: those of a known reducer in proportion to the width; further discs side by side."""
+    name = "rv-40e-whole"  # no other has them
+    donor = _whole(name)
+    target = changed(donor, follows, whole=True)
+    own, why = target.bearings, _reason(AXIAL, donor, target, name)
+    assert own is not None
+    first, last = (float(own.disc_position[k]) for k in (0, -1))
+    pitch = (last - first) / (len(own.disc_position) - 1)
+    more = discs - len(own.disc_position)
+    if more:
+        why = (f"{why[0]}; {discs} discs side by side", why[1])
+    places = [first + pitch * k for k in range(discs)]
+    values = places, float(own.planet_position), float(own.support_span) + pitch * more
+    return {path: Assumed(value, *why) for path, value in zip(PLACES, values)}
+
+
+def rated_torque(ring: float) -> Assumed:
+    """Rated torque at 15 r/min, N m, from the nearest size of a catalogue.
+
+    Args:
+        ring: radius of the pin circle, m.
+    """
+    law = _law_of("rated_torque")
+    assert law is not None
+    name = _nearest(ring, [name for name in OWN if name in RATED or name.removesuffix("-whole") in RATED])
+    donor = OWN[name]
+    target = changed(donor, {RING: ring}, whole=True)
+    ratio = ring / donor.cycloid.pin_circle_radius
+    value = RATED[name.removesuffix("-whole")] * ratio ** law.follows[RING]
+    return Assumed(float(f"{value:.3g}"), *_reason(law, donor, target, name))
+
+
+def tolerance_unit(diameter: Scalar) -> Scalar:
+    """Tolerance unit i of ISO 286-1, m.
+
+    Args:
+        diameter: nominal size, m.
+    """
+    size = diameter / mm
+    return 1e-6 * (0.45 * size ** (1 / 3) + 0.001 * size)
+
+
+def tolerance_ratios(numbers: Mapping[str, PyTree]) -> dict[str, tuple[float, str]]:
+    """Ratio of each tolerance to that of `rv-40e-whole`, rounded to 0.01, and the size that it belongs to.
+
+    Args:
+        numbers: of the design by path, SI.
+    """
+    found = {}
+    for entry in SIZES:
+        factor, path = (2, entry["radius"]) if "radius" in entry else (1, entry["diameter"])
+        own, known = (tolerance_unit(factor * x) for x in (numbers[path], number_at(catalogue.RV_40E_WHOLE, path)))
+        found |= dict.fromkeys(entry["errors"], (round(float(own / known), 2), entry["size"]))
+    return found
+
+
+def arm_force(bearing: PyTree) -> float:
+    """Largest force of a turning-arm bearing at rated torque for static safety at start and stop, N.
+
+    Args:
+        bearing: in a disc.
+    """
+    return float(np.floor(float(static_rating(bearing)) / SAFETY / START / 100) * 100)
