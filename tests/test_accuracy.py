@@ -162,7 +162,7 @@ def test_a_study_states_its_accuracy():
     s = study.parse_study(text + '\n[accuracy]\ntransmission_error = "3 arcsec"\n', name="x", solve=False)
     assert s.accuracy == pytest.approx({"transmission_error": 3 * arcsec})
     assert list(s.choices()) == ["transmission_error"] and s.choices()["transmission_error"].bound < 3 * arcsec
-    errors = sample(s.tolerances, 3, seed=1)
+    errors = jax.jit(lambda number: sample(s.tolerances, number, seed=1))(3)
     rough, exact = jax.jit(s.response())(errors), jax.jit(whole.response())(errors)
     assert rough.value["lost_motion"] == exact.value["lost_motion"]
     assert rough.value["transmission_error"].dtype == jnp.float64

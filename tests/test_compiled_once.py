@@ -55,8 +55,11 @@ def placed(x):
     return RVErrors(planet_runout=x * um, disc_bore=np.full((3, 4, 2), x * um), sun_flank=np.full((4, 2), x * um))
 
 
+FEW = CORR.replace(gear_teeth=3)  # every roller is traced for itself
+
+
 def rollers(x):
-    return CamRollerErrors(cam_radius=x * um, eccentricity=0.0, roller_radius=np.full(CORR.gear_teeth + 1, x * um))
+    return CamRollerErrors(cam_radius=x * um, eccentricity=0.0, roller_radius=np.full(FEW.gear_teeth + 1, x * um))
 
 
 def links(x):
@@ -83,11 +86,11 @@ CALLS = {  # name: one call of the function for each way that is decided before 
     ],
     "four_bar.revolution": [
         lambda x: four_bar.revolution(RV_40E, units(x)),
-        lambda x: four_bar.revolution(RV_40E, units(x), angles=8, output_torque=100 * x),
-        lambda x: four_bar.revolution(RV_40E, units(x), angles=8, cranks="free"),
+        lambda x: four_bar.revolution(RV_40E, units(x), angles=8, output_torque=100 * x, closure="first_order"),
+        lambda x: four_bar.revolution(RV_40E, units(x), angles=8, cranks="free", closure="newton"),
     ],
     "four_bar.figures": [
-        lambda x: four_bar.figures(RV_40E, units(x)),
+        lambda x: four_bar.figures(RV_40E, units(x), closure="first_order"),
         lambda x: four_bar.figures(RV_40E, units(x), angles=8, cranks="geared", gear_stiffness_ratio=x),
     ],
     "lost_motion.geometric": [
@@ -107,18 +110,18 @@ CALLS = {  # name: one call of the function for each way that is decided before 
         ),
     ],
     "mesh_force.solve": [
-        lambda x, law=law: mesh_force.solve(CORR, rollers(x), input_torque=100 * x, output_angle=x, contact=law)
+        lambda x, law=law: mesh_force.solve(FEW, rollers(x), input_torque=100 * x, output_angle=x, contact=law)
         for law in ("linear",)
     ],
-    "mesh_force.contact_pressure": [lambda x: mesh_force.contact_pressure(CORR, pressed(x), output_angle=x)],
+    "mesh_force.contact_pressure": [lambda x: mesh_force.contact_pressure(FEW, pressed(x), output_angle=x)],
     "mesh_force.cycle_statistics": [
         lambda x: mesh_force.cycle_statistics(
-            CORR, CamRollerErrors(x * um, 0.0, 0.0), input_torque=100 * x, contact="linear", samples=2
+            FEW, CamRollerErrors(x * um, 0.0, 0.0), input_torque=100 * x, contact="linear", samples=2
         )
     ],
     "mesh_force.sweep": [
         lambda x: mesh_force.sweep(
-            CORR,
+            FEW,
             rollers(x),
             "cam_radius",
             np.array([149.0, 150.0 + x]) * mm,
@@ -128,9 +131,9 @@ CALLS = {  # name: one call of the function for each way that is decided before 
         )
     ],
     "mesh_force.cycle_angles": [lambda x: mesh_force.cycle_angles(25, samples=round(10 * x))],
-    "mesh_force.largest_roller_radius": [lambda x: mesh_force.largest_roller_radius(CORR.replace(cam_radius=x))],
-    "mesh_force.undercut_margin": [lambda x: mesh_force.undercut_margin(CORR.replace(cam_radius=x))],
-    "mesh_force.tooth_profile": [lambda x: mesh_force.tooth_profile(CORR, x * deg)],
+    "mesh_force.largest_roller_radius": [lambda x: mesh_force.largest_roller_radius(FEW.replace(cam_radius=x))],
+    "mesh_force.undercut_margin": [lambda x: mesh_force.undercut_margin(FEW.replace(cam_radius=x))],
+    "mesh_force.tooth_profile": [lambda x: mesh_force.tooth_profile(FEW, x * deg)],
     "dynamics.assemble": [lambda x: dynamics.assemble(sounder(x))],
     "dynamics.blocks": [lambda x: dynamics.blocks(sounder(x))],
     "dynamics.lump": [lambda x: dynamics.lump(sounder(x))],
@@ -178,7 +181,7 @@ CALLS = {  # name: one call of the function for each way that is decided before 
 
 def pressed(x):
     """Forces such as `solve` returns, of which what reads them makes something whatever they are."""
-    force = np.full(CORR.gear_teeth + 1, 100.0 * x)
+    force = np.full(FEW.gear_teeth + 1, 100.0 * x)
     return mesh_force.MeshForces(cam=force, cage=force, gear=force, windup=x, info=SolveInfo(0, 5, 1e-15))
 
 

@@ -1,6 +1,7 @@
 """`rvjax.identify` on curves: orders, what to measure next, a measured reducer and a computed one."""
 
 import math
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -98,8 +99,8 @@ def test_rv40e_shows_one_combination_of_its_cranks():
 
     def curve(values):
         errors = rvjax.RVErrors.for_design(design, crank_eccentricity=values["ecc"])
-        solve = lambda angle: rvjax.four_bar.transmission_error(design, errors, crank_angle=angle).error  # noqa: E731
-        error = jax.vmap(solve)(jnp.asarray(angles))
+        solve = partial(rvjax.four_bar.transmission_error, design, errors, closure="first_order")
+        error = jax.vmap(lambda angle: solve(crank_angle=angle).error)(jnp.asarray(angles))
         first = 2 * jnp.mean(error.astype(complex) * jnp.asarray(np.exp(-1j * angles)))
         return {"mean": values["offset"] + jnp.mean(error), "first": first}
 
