@@ -9,10 +9,10 @@ from scipy import stats
 
 from oracles.responses import Largest, Linear
 from rvjax.tolerances import ReciprocalPower, Tolerance
-from rvjax.units import um
+from rvjax.units import mm, um
 
 WIDE = ReciprocalPower(finest=1 * um, coarsest=500 * um)
-PAIR = {"a": Tolerance.symmetric(10 * um), "b": Tolerance.symmetric(10 * um)}
+PAIR = {name: Tolerance.symmetric(10 * um, size=25 * mm) for name in "ab"}
 COSTS = {"a": WIDE, "b": WIDE}
 LIMIT = 20 * um
 BOTH_SIDES = ({"a": 0.0, "b": 1.0}, {"a": 0.0, "b": -1.0})  # of |b|

@@ -104,7 +104,7 @@ class Problem:
             return jnp.append(due - jax.scipy.special.ndtri(shares), sized)
 
         nothing = np.zeros(len(self.limits) + 1)
-        margin, rates = jax.jit(held), jax.jit(jax.jacrev(held, argnums=(0, 1)))
+        both = jax.jit(lambda x: (held(x, nothing), *jax.jacrev(held, argnums=(0, 1))(x, nothing)))
         low = np.array([np.log(LEAST)] * count + [0.5] * len(self.own))
         high = np.array([np.log(MOST)] * count + [2.0] * len(self.own))
         rng, best = np.random.default_rng(self.seed), None
@@ -112,18 +112,18 @@ class Problem:
             start = np.concatenate([np.full(count, np.log(0.15)), rng.uniform(0.6, 1.9, len(self.own))])
             met = {
                 "type": "ineq",
-                "fun": lambda x: np.asarray(margin(x, nothing)),
-                "jac": lambda x: np.asarray(rates(x, nothing)[0]),
+                "fun": lambda x: np.asarray(both(x)[0]),
+                "jac": lambda x: np.asarray(both(x)[1]),
             }
             end = optimize.minimize(
                 cost, start, jac=slope, constraints=[met], bounds=list(zip(low, high)), method="SLSQP",
                 options={"ftol": 1e-13, "maxiter": 500},
             )  # fmt: skip
-            if end.success and margin(end.x, nothing).min() > -1e-7 and (best is None or end.fun < best.fun):
+            if end.success and both(end.x)[0].min() > -1e-7 and (best is None or end.fun < best.fun):
                 best = end
         x = best.x
-        by_x, by_limit = (np.asarray(v) for v in rates(x, nothing))
-        binding = np.flatnonzero(np.asarray(margin(x, nothing)) < _BINDS)
+        margins, by_x, by_limit = map(np.asarray, both(x))
+        binding = np.flatnonzero(margins < _BINDS)
         inner = (x > low + 1e-6) & (x < high - 1e-6)
         found, _ = optimize.nnls(by_x[binding][:, inner].T, slope(x)[inner])
         prices = np.zeros(len(nothing))

@@ -116,7 +116,7 @@ def listed(among, costs, need):
     return found, price, dict(zip(names, best))
 
 
-@pytest.mark.parametrize("count", [2, 3])
+@pytest.mark.parametrize("count", [pytest.param(2, marks=pytest.mark.long), 3])
 def test_numbers_of_lists_are_the_cheapest_that_meet_the_limit(count):
     """All 25 or 125 combinations, of which the search tries a part; the cheapest of all breaks the limit."""
     found, price, best = listed(FIVE, [lambda v: v**2, lambda v: 2.3 * v, lambda v: 1.1 * v**3][:count], 1.2)

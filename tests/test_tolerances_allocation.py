@@ -270,8 +270,7 @@ def test_few_steps_and_few_certificate_units():
 
 
 def test_grades():
-    sized = {"a": PAIR["a"].replace(size=25 * mm), "b": PAIR["b"].replace(size=25 * mm)}
-    found = allocate(linear, sized, BOTH, grades=True, **CERTIFIED)
+    found = allocate(linear, PAIR, BOTH, grades=True, **CERTIFIED)
     graded = found.graded
     assert graded.status == "OPTIMAL"
     for name, grade in graded.grades.items():

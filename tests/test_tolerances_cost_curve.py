@@ -206,7 +206,7 @@ def test_bad_curves_are_named(options, message):
 
 def test_free_fields_take_up_what_the_grades_leave():
     """a is snapped to a grade; b is what the closed-form limit then allows."""
-    sized = {**PAIR, "a": PAIR["a"].replace(size=25 * mm)}
+    sized = PAIR | {"b": PAIR["b"].replace(size=None)}
     requirement = Requirement(lower=-LIMIT, upper=LIMIT)
     units = 50_000
     found = allocate(linear, sized, requirement, costs=COSTS, samples=4096, certificate_samples=units, grades=True)

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from oracles.responses import Linear
 from rvjax.population.distribution import DISTRIBUTIONS, Distribution
 from rvjax.records import field, record
 from rvjax.study.read import _requirements
@@ -90,8 +91,7 @@ ARCH = Tolerance(-1.0, 3.0, distribution="arch", weight=0.5)
 PAIR = {"a": ARCH, "b": Tolerance(-1.0, 1.0, distribution="arch")}
 
 
-def summed(e):
-    return e["a"] + 2 * e["b"]
+summed = Linear({"a": 1.0, "b": 2.0})
 
 
 def test_a_law_has_one_place(tmp_path):
@@ -124,11 +124,11 @@ def test_a_kind_of_requirement_has_one_place():
     assert not found.verdicts.met and found.verdicts.wanted == "sd <= 0.5" and found.yield_ is None
     assert abs(found.verdicts.estimate.value - math.sqrt(5) / 3) < 4 * found.verdicts.estimate.error
     cost = ReciprocalPower(finest=0.01, coarsest=9.0, reference=1.0)
-    best = allocate(summed, normal, asked, costs={"a": cost, "b": cost}, samples=4096, certificate_samples=50_000)
+    best = allocate(summed, normal, asked, costs={"a": cost, "b": cost}, samples=4096, certificate_samples=20_000)
     a, b = best.half_widths.values()
-    # Lagrange: t_a = 4^(1/3) t_b at t_a^2 + 4 t_b^2 = (3 sd)^2; slopes of 4096 units to 2.2 %, certified sd to 1 %.
+    # Lagrange: t_a = 4^(1/3) t_b at t_a^2 + 4 t_b^2 = (3 sd)^2; slopes of 4096 units to 2.2 %, certified sd to 1.6 %.
     assert best.status == "OPTIMAL" and a / b == pytest.approx(4 ** (1 / 3), rel=0.04)
-    assert math.hypot(a, 2 * b) == pytest.approx(1.5, rel=0.02)
+    assert math.hypot(a, 2 * b) == pytest.approx(1.5, rel=0.032)
     outputs = {"te": type("Output", (), {"unit": "rad"})}
     read = _requirements(outputs, {"te": dict(upper="1 arcmin", sd=0.1)})[0]["te"]
     assert isinstance(read, SdBelow) and read.sd == 0.1

@@ -14,6 +14,7 @@ import pytest
 from scipy import stats
 
 import rvjax
+from oracles.responses import Linear
 from rvjax.tolerances import Requirement, Tolerance, for_design, monte_carlo, rss, sample, worst_case
 from rvjax.units import um
 
@@ -24,8 +25,7 @@ def stack(**options):
     return {name: Tolerance.symmetric(t * um, **options) for name, t in (("a", 12), ("b", 9), ("c", 6))}
 
 
-def linear(e):
-    return 3 * e["a"] - 2 * e["b"] + e["c"]
+linear = Linear(dict(a=3.0, b=-2.0, c=1.0))
 
 
 def peak_to_peak(e):

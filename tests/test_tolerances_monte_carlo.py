@@ -15,7 +15,9 @@ import pytest
 from scipy import stats
 
 import rvjax
+from oracles.known_optima import many_fields
 from oracles.programs import programs
+from oracles.responses import Linear
 from rvjax.population import Population, root_key
 from rvjax.population.estimates import wilson
 from rvjax.response import BLOCK, Evaluator, numbers_of
@@ -28,8 +30,7 @@ STACK = dict(a=Tolerance.symmetric(12 * um), b=Tolerance.symmetric(9 * um), c=To
 LIMITS = Requirement(lower=-30 * um, upper=30 * um)
 
 
-def linear(e):
-    return 3 * e["a"] - 2 * e["b"] + e["c"]
+linear = Linear(dict(a=3.0, b=-2.0, c=1.0))
 
 
 def pair(e):
@@ -238,12 +239,12 @@ def test_zero_width_everywhere():
     assert found.quantiles[0.99865].value == pytest.approx(4 * um, rel=1e-9)
 
 
-def test_no_active_field_and_fifty():
+def test_no_active_field_and_thirty_two():
     found = monte_carlo(lambda e: e["a"] + 1.0, {"a": None}, samples=10, seed=0)
     assert (found.mean.value, found.sd.value) == (1.0, 0.0)
-    many = {f"x{i}": Tolerance.symmetric(3.0) for i in range(50)}
-    found = monte_carlo(lambda e: sum(e.values()), many, samples=20_000, seed=0)
-    within(found.sd, math.sqrt(50))
+    many = many_fields(32)
+    found = monte_carlo(many.response, many.tolerances, samples=20_000, seed=0)
+    within(found.sd, math.hypot(*many.response.slopes.values()) * 5 * um / 3)
 
 
 def test_extreme_targets_and_intervals():

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import rvjax
+from oracles.responses import Linear
 from rvjax import RVErrors
 from rvjax.tolerances import (
     Outcome,
@@ -39,8 +40,7 @@ def response(e):
     return Outcome({"y": jnp.where(e["b"] < -1.0, jnp.nan, e["a"]), "z": e["c"]}, 0)
 
 
-def line(e):
-    return e["a"] + 2 * e["b"]
+line = Linear(dict(a=1.0, b=2.0, c=0.0))
 
 
 def same(one, two):
@@ -81,7 +81,7 @@ def results():
         "worst case": worst_case(gap, tolerances),
         "moments": rss(gap, tolerances),
         "allocation": allocate(
-            line, STACK, limit, costs={"a": cost, "b": cost}, samples=1024, certificate_samples=4096
+            line, STACK, limit, costs={"a": cost, "b": cost}, samples=4096, certificate_samples=4096
         ),
         "errors": RVErrors.for_design(design, disc_bore=1 * um),
         "plain": {"none": None, 1: (True, -0.0, [math.inf, -math.inf]), "$x": np.float32(2.5), "e": np.zeros((0, 3))},

@@ -48,7 +48,7 @@ def predict(
     rng = np.random.default_rng(integer("seed", seed) % 2**64)
     z = _pick(posterior, draws, rng) if isinstance(posterior, Draws) else _drawn(posterior, draws, rng)
     values, status = respond(response, source.problem.elements.population, jnp.asarray(z.T))
-    good = np.asarray(succeeded(status))
+    good = succeeded(np.asarray(status))
     required = by_response(requirement, tuple(values), Limits, "requirement")
     found = {}
     for name, numbers in values.items():

@@ -277,13 +277,13 @@ def _errors(
             case = draw(cases, call, size, seed)
             given = {precision: _cast(case, precision) for precision in set(precisions)}
             values, status = jax.device_get(programs[reference](*given["float64"]))
-            good = np.asarray(succeeded(status))
+            good = succeeded(np.asarray(status))
             counted[s] += good.sum()
             for o in cases.outputs:
                 typical[o][s] += np.sum(np.mean(values[o][good].reshape(good.sum(), -1) ** 2, axis=1))
             for k, program in enumerate(programs):
                 found, own = jax.device_get(program(*given[precisions[k]]))
-                fine = np.asarray(succeeded(own))[good]
+                fine = succeeded(np.asarray(own))[good]
                 for o in cases.outputs:
                     off = np.abs(found[o].astype(float) - values[o])[good].reshape(good.sum(), -1)
                     off[~fine] = np.inf  # no value where the reference has one

@@ -278,7 +278,7 @@ def _sampled(gradients: np.ndarray, law: Spread) -> _Propagated:
 def _seen(response: Response, population: Population, name: str) -> tuple[float, float]:
     """Mean and variance of a response over units."""
     blocks = [respond_units(response, population, root_key(0), i, count=BLOCK) for i in range(0, _SEEN, BLOCK)]
-    found = [np.asarray(values[name], float)[np.asarray(succeeded(status))] for values, status in blocks]
+    found = [np.asarray(values[name], float)[succeeded(np.asarray(status))] for values, status in blocks]
     valid = np.concatenate(found)
     return float(valid.mean()), float(valid.var(ddof=1))
 

@@ -132,7 +132,7 @@ def _evaluated(
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Values and validity of the first `count` units."""
     values, status = respond(response, population, jnp.asarray(z, jnp.result_type(float)))
-    return {n: np.asarray(v, float)[:count] for n, v in values.items()}, np.asarray(succeeded(status))[:count]
+    return {n: np.asarray(v, float)[:count] for n, v in values.items()}, succeeded(np.asarray(status))[:count]
 
 
 class _Sums:

@@ -181,10 +181,10 @@ def whole(study: Study, tolerances: Any) -> Whole | None:
         rows, own = part.solve(population, z[:, :UNITS] if costly else z)
         values |= dict(zip(part.names, rows[:, :UNITS]))
         known |= {} if costly else dict(zip(part.names, rows))
-        status = np.where(np.asarray(succeeded(status)), own[:UNITS], status)
+        status = np.where(succeeded(np.asarray(status)), own[:UNITS], status)
         if getattr(part.response, "curve", False):
             curves |= dict.fromkeys(part.names, part.rows(population, z[:, :UNITS], CURVE))
-    solved = np.asarray(succeeded(status))
+    solved = succeeded(np.asarray(status))
     margins = {n: np.asarray(study.requirements[n].margin(values[outputs[n]])) for n in outputs}
     good = solved & np.all([row <= 0 for row in margins.values()], axis=0)
     limited = [

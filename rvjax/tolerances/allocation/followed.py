@@ -152,7 +152,7 @@ class Followed:
         def compute() -> np.ndarray:
             values, status, state = part.solution(population, self.z[:, units])
             self._states_at(number, population).update(zip(units.tolist(), state.T))
-            return np.concatenate([np.where(np.asarray(succeeded(status)), values, np.nan), status[None]])
+            return np.concatenate([np.where(succeeded(np.asarray(status)), values, np.nan), status[None]])
 
         rows = self._recalled("followed", number, population, units.tobytes(), compute)
         return dict(zip(part.names, rows)), rows[-1].astype(np.int32)
@@ -333,7 +333,7 @@ def _wrong(values: np.ndarray, doubt: np.ndarray, levels: list[float]) -> np.nda
 def _whole(values: dict[str, np.ndarray], status: list[np.ndarray]) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Values, nan where any part of a unit failed, and its worst status."""
     whole = np.asarray(worst(np.stack(status), axis=0))
-    good = np.asarray(succeeded(whole))
+    good = succeeded(np.asarray(whole))
     return {name: np.where(good, row, np.nan) for name, row in values.items()}, whole
 
 

@@ -211,7 +211,7 @@ class Training:
         self.evaluated[0] += self.samples
         for k, z in enumerate(self.blocks):
             values, status = self._block(population, k, z)
-            rows.append(np.where(np.asarray(succeeded(status)), self._rows(values), np.nan))
+            rows.append(np.where(succeeded(np.asarray(status)), self._rows(values), np.nan))
         return self._remembered(asked, np.concatenate(rows, axis=1)[:, : self.samples])
 
     def _remembered(self, asked: bytes, values: np.ndarray) -> np.ndarray:

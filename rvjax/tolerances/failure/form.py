@@ -47,7 +47,7 @@ class Units:
             part = z[:, start : start + BATCH]
             padded = np.pad(part, ((0, 0), (0, BATCH - part.shape[1])))
             values, status = respond(self.response, self.population, jnp.asarray(padded, jnp.result_type(float)))
-            valid = np.where(np.asarray(succeeded(status)), np.asarray(values[self.name], float), np.nan)
+            valid = np.where(succeeded(np.asarray(status)), np.asarray(values[self.name], float), np.nan)
             found[start : start + BATCH] = valid[: part.shape[1]]
         return found
 
