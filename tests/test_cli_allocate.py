@@ -24,6 +24,7 @@ from rvjax.commands.allocate.forecast import (
     solved_units,
 )
 from rvjax.render import Report, results_folder, write_files
+from rvjax.units import arcmin, um
 
 pytestmark = pytest.mark.usefixtures("answers")
 
@@ -76,9 +77,9 @@ def test_allocate_writes_tables_and_pictures(answered):
     influence = table("influence", "error", "response")
     assert influence["disc_runout", "transmission_error"]["slope"] == ""  # no slope, which is not zero
     assert float(influence["disc_runout", "lost_motion"]["slope"]) > 0
-    row = influence["crank_phase", "transmission_error"]
-    assert row["unit of the slope"] == "arcmin/arcmin"
-    assert float(row["slope"]) == pytest.approx(result["sensitivities"]["transmission_error"]["crank_phase"])
+    row = influence["crank_phase", "misfit"]
+    assert row["unit of the slope"] == "um/arcmin"
+    assert float(row["slope"]) == pytest.approx(result["sensitivities"]["misfit"]["crank_phase"] * arcmin / um)
     assert sum(float(influence[e, "misfit"]["share of variance"] or 0) for (e,) in rows) == pytest.approx(1)
     row = table("requirements", "requirement")["lost_motion",]
     assert [float(row[key]) for key in ("lower limit", "upper limit")] == [-1, 1] and row["unit"] == "arcmin"
@@ -122,8 +123,8 @@ def test_an_answer_is_read_in_the_unit_that_was_asked(answers, answered, here):
     found = dataclasses.replace(old, study=rvjax.study.parse_study(asked, name="x", solve=False))
     before, after = report_on(old).text(), report_on(found).text()
     assert "<= 60 arcsec" in after and "/arcsec" in after and "<= 60 arcsec" not in before
-    slopes = [float(re.search(r"crank_phase +([\d.]+) arc", words).group(1)) for words in (before, after)]
-    assert slopes[1] == pytest.approx(60 * slopes[0], abs=0.006)
+    slopes = [float(re.search(r"crank_eccentricity +([\d.]+) arc", words).group(1)) for words in (before, after)]
+    assert slopes[1] == pytest.approx(60 * slopes[0], abs=0.006) and slopes[0] > 0.01
 
 
 def test_an_unchanged_study_is_answered_from_its_folder(answered, undrawn, here, capsys, monkeypatch):
