@@ -8,6 +8,8 @@ from importlib import resources
 
 import pytest
 
+from cli_study import one_start
+
 from rvjax import study
 from rvjax.commands.allocate.answer import Answer, answer
 from rvjax.commands.report import surrogate
@@ -74,7 +76,8 @@ FEW = dict(points=4, fresh=BLOCK)  # points and independent units that show as m
 @functools.cache
 def played() -> tuple[Answer, surrogate.Surrogate]:
     """The study's answer and surrogate."""
-    found = answer(study.parse_study(PLAY, name="play"))
+    with one_start():
+        found = answer(study.parse_study(PLAY, name="play"))
     assert found.allocation.feasible
     made = surrogate.surrogate(found, **FEW)
     assert made is not None

@@ -1,8 +1,8 @@
 """Before anything is computed: what cannot be is refused, what is far from known reducers is said, the rest told."""
 
+import io
 import json
 import os
-import subprocess
 import sys
 import tomllib
 from importlib import resources
@@ -201,15 +201,14 @@ half_width = "2 um"
 """
 
 
-def test_a_terminal_without_umlauts_gets_the_rest(tmp_path):
+def test_a_terminal_without_umlauts_gets_the_rest(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "größe.toml").write_text(QUICK, "utf-8")
-    environment = os.environ | {"PYTHONIOENCODING": "ascii", "LC_ALL": "C", "PYTHONUTF8": "1"}
-    done = subprocess.run(
-        [sys.executable, "-m", "rvjax", "check", "größe.toml"],
-        cwd=tmp_path, env=environment, capture_output=True, timeout=120, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0 and not done.stderr, done.stderr
-    assert rb"Study gr\xf6\xdfe: RVReducer" in done.stdout and rb"M\xfcller" in done.stdout
+    terminal = io.TextIOWrapper(io.BytesIO(), "ascii")  # as Python opens it in the locale C
+    monkeypatch.setattr(sys, "stdout", terminal)
+    assert cli.main(["check", "größe.toml"]) == 0 and not capsys.readouterr().err
+    said = terminal.buffer.getvalue()
+    assert rb"Study gr\xf6\xdfe: RVReducer" in said and rb"M\xfcller" in said
 
 
 def test_what_is_assumed_is_named_until_it_is_given():
@@ -248,10 +247,11 @@ def test_the_curve_of_costs_pays_for_moved_middles(monkeypatch):
     assert points == [(0.9, 10.0), (0.99, 11.0), (0.999, 12.0)]
 
 
-def test_a_reader_that_has_enough_ends_a_command_quietly(tmp_path):
+def test_a_reader_that_has_enough_ends_a_command_quietly(tmp_path, monkeypatch, capsys):
     (tmp_path / "quick.toml").write_text(QUICK, "utf-8")
-    command = [sys.executable, "-m", "rvjax", "check", tmp_path / "quick.toml"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as started:
-        assert started.stdout is not None and started.stderr is not None
-        started.stdout.close()
-        assert started.stderr.read() == b"" and started.wait() == 0
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "w") as pipe:
+        monkeypatch.setattr(sys, "stdout", pipe)
+        assert cli.main(["check", str(tmp_path / "quick.toml")]) == 0 and capsys.readouterr().err == ""
+    # It was closed without an error: what was left in it went nowhere.

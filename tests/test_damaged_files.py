@@ -133,6 +133,7 @@ def test_two_processes_that_write_one_file_do_not_mix(tmp_path):
             content = path.read_bytes()
             assert len(set(content)) == 1 and len(content) % 1000 == 0
             seen.add(content[:1])
+        time.sleep(1e-3)
     assert [writer.returncode for writer in writers] == [0, 0] and seen
     assert len(path.read_bytes()) == 199_000 and [file.name for file in tmp_path.iterdir()] == ["a"]
 

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from cli_study import one_start
 
 from rvjax import cli, study
 from rvjax.commands.allocate import kept
@@ -200,7 +201,9 @@ def test_the_mechanical_problem_of_the_reference():
 def designed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("design")
     (folder / "small.toml").write_text(SMALL)
-    code = cli.main(["design", str(folder / "small.toml"), "--front", "1", "--results", str(folder / "out"), "--quiet"])
+    command = ["design", str(folder / "small.toml"), "--front", "1", "--results", str(folder / "out"), "--quiet"]
+    with one_start():
+        code = cli.main(command)
     return code, folder / "out", json.loads((folder / "out" / "result.json").read_text())
 
 
@@ -279,8 +282,9 @@ def test_a_killed_command_continues_from_its_journal(designed, tmp_path, monkeyp
         return plain(response, population, errors, cotangents, names)
 
     monkeypatch.setattr(units, "gradients", killed)
-    assert cli.main(call) == 130 and not out.exists() and len(list(journal.iterdir())) > 9
-    assert cli.main(call) == 0 and not journal.exists()
+    with one_start():
+        assert cli.main(call) == 130 and not out.exists() and len(list(journal.iterdir())) > 9
+        assert cli.main(call) == 0 and not journal.exists()
     assert not set(asked[:9]) & set(asked[10:]) and asked[9] == asked[10]
     result = json.loads((out / "result.json").read_text())
     assert result["values"] == designed[2]["values"] and result["cost"] == designed[2]["cost"]

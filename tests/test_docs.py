@@ -49,6 +49,13 @@ def test_the_python_of_a_page_runs(page):
         exec(compile(code, str(page), "exec"), namespace)
 
 
+@pytest.mark.long
+def test_the_python_of_the_readme_runs(capsys):
+    for code in blocks("../README.md", "python"):
+        exec(compile(code, "README.md", "exec"), {})
+    assert len(capsys.readouterr().out.splitlines()) >= 2
+
+
 def test_the_page_of_studies_names_every_part():
     page = (DOCS / "study.md").read_text("utf-8")
     parts = [f.name for f in dataclasses.fields(RVReducer) if f.metadata["kind"] == "record"]

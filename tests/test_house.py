@@ -2,6 +2,7 @@
 
 import ast
 import dataclasses
+import functools
 import importlib
 import inspect
 import re
@@ -47,9 +48,18 @@ def type_only(tree):
     return {inner for node in checks for inner in ast.walk(node)}
 
 
+@functools.cache
+def parsed(path):
+    return ast.parse(path.read_text())
+
+
+@functools.cache
 def imports(path, *, types=True):
     """Dotted names below rvjax that a file imports."""
-    tree = ast.parse(path.read_text())
+    return [*_imports(parsed(path), types)]
+
+
+def _imports(tree, types):
     skipped = set() if types else type_only(tree)
     for node in ast.walk(tree):
         if node in skipped:
@@ -119,7 +129,7 @@ def test_packages_are_imported_through_their_init():
     """Another package takes a name from `rvjax.population`, never from a file below it; models give their outputs."""
     deep = []
     for path in rooms():
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in ast.walk(parsed(path)):
             parts = node.module.split(".") if isinstance(node, ast.ImportFrom) and node.module else []
             below = len(parts) > 2 and parts[0] == "rvjax" and parts[1] != name_of(path)[0]
             if below and (PACKAGE / parts[1]).is_dir() and parts[1] not in PRIVATE:
@@ -268,12 +278,6 @@ def test_continuous_integration_runs_the_jobs_that_contributing_lists():
     for command, file in listed:
         assert re.search(rf"\b{re.escape(file or command)}\n", steps), command
         assert not file or "pytest.mark.long" in (ROOT / file).read_text(), file
-
-
-def test_the_python_of_the_readme_runs(capsys):
-    for code in re.findall(r"^```python\n(.*?)^```", (ROOT / "README.md").read_text(), re.MULTILINE | re.DOTALL):
-        exec(compile(code, "README.md", "exec"), {})
-    assert len(capsys.readouterr().out.splitlines()) >= 2
 
 
 def test_the_version_is_said_once():

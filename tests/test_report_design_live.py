@@ -11,6 +11,7 @@ from importlib import resources
 
 import numpy as np
 import pytest
+from cli_study import one_start
 
 from rvjax import study
 from rvjax.commands.design import live
@@ -51,11 +52,12 @@ certificate_samples = 8192
 @cache
 def page():
     made = study.parse_study(STUDY, name="x", solve=False)
-    found = allocate(
-        made.design_response(), made.tolerances, made.requirements | made.nominal, costs=made.costs,
-        variables=made.variables, objective={name: price(1.0) for name, price in made.objective.items()},
-        samples=made.samples, certificate_samples=made.certificate_samples,
-    )  # fmt: skip
+    with one_start():
+        found = allocate(
+            made.design_response(), made.tolerances, made.requirements | made.nominal, costs=made.costs,
+            variables=made.variables, objective={name: price(1.0) for name, price in made.objective.items()},
+            samples=made.samples, certificate_samples=made.certificate_samples,
+        )  # fmt: skip
     outputs = {n: float(v) for n, v in made.nominal_response()(made.design.error_record(), found.values).value.items()}
     point = Point(found, made.design_with(found.values), outputs)
     return made, found, live.data(made, Designed(point, outputs, None, {}, None, [], []))
