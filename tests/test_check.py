@@ -15,13 +15,18 @@ from rvjax._reducer import plausible
 from rvjax.commands import module
 from rvjax.commands.allocate import answer, expected
 from rvjax.commands.forecast import forewarn
-from rvjax.commands.init.compute import UNASKED, written as template
+from rvjax.commands.init.compute import KINEMATIC, written
 from rvjax.study.design import BASES
 from rvjax.study.plausible import doubts
 from rvjax.units import mm
 
 GOOD = (resources.files("rvjax.study") / "embedded" / "rv-40e.toml").read_text("utf-8")
 DESIGN = 'base = "rv-40e"'
+
+
+def template(base):
+    """The text of a four-bar study, or that of the oscillatory roller stage."""
+    return written(base, "four-bar").text
 
 
 def asked(old, new, text=GOOD):
@@ -155,7 +160,7 @@ def test_a_written_study_is_the_known_reducer(base):
 
 def test_commands(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert cli.main(["init", "mine.toml", "--base", "rv-80e"]) == 0
+    assert cli.main(["init", "mine.toml", "--base", "rv-80e", "--model", "four-bar"]) == 0
     assert cli.main(["init", "mine.toml"]) == 2 and "exists already" in capsys.readouterr().err
     assert (
         cli.main(["init", "other.toml", "--base", "rv-81e"]) == 2 and "did you mean rv-80e" in capsys.readouterr().err
@@ -216,10 +221,10 @@ def test_what_is_assumed_is_named_until_it_is_given():
     assert "cycloid.disc_count" in asked(DESIGN, DESIGN).assumed
     given = asked(DESIGN, DESIGN + '\ncranks.bearing_stiffness = "5e8 N/m"').assumed
     assert "cranks.bearing_stiffness" not in given and "cycloid.disc_count" in given
-    written = study.parse_study(template("rv-80e"), name="x", solve=False).assumed
+    marked = study.parse_study(template("rv-80e"), name="x", solve=False).assumed
     modified = ["cycloid.equidistant_modification", "cycloid.shift_modification"]
-    due = [name for name in catalogue.assumed("rv-80e") if name.split(".")[0] not in UNASKED]
-    assert sorted(written) == sorted(due + modified)  # the file marks them
+    due = [name for name in catalogue.assumed("rv-80e") if name.split(".")[0] in KINEMATIC]
+    assert sorted(marked) == sorted(due + modified)  # the file marks them
     inputs = module("check", "inputs").Inputs(asked(DESIGN, DESIGN), None)
     text = module("check", "report").report(inputs, module("check", "compute").compute(inputs)).text()
     assumed = next(line for line in text.splitlines() if line.startswith("Assumed"))

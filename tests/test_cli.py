@@ -76,7 +76,8 @@ def test_every_command_answers_machines(here, capsys, monkeypatch):
     for name in commands.COMMANDS:
         assert cli.main([name, "--help"]) == 0 and "--format {text,json}" in capsys.readouterr().out, name
     assert cli.main(["init", "new.toml", "--base", "rv-80e", "--format", "json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"study": "new.toml", "base": "rv-80e"}
+    made = json.loads(capsys.readouterr().out)
+    assert made == {"study": "new.toml", "base": "rv-80e", "model": "loaded", "warnings": []}
     row = published.Comparison("a.b", "", 2.0, 2.0, "mm", "reproduced", "")
     monkeypatch.setattr(published, "reproduce", lambda say: [row])
     for option in (["--json"], ["--format", "json"]):

@@ -52,7 +52,9 @@ def test_outputs_of_one_revolution_take_its_time_once():
 
 def test_the_time_of_the_default_study_is_known_and_an_unmeasured_one_is_not():
     whole = study.load("rv-40e-whole", solve=False)
-    assert expected(whole).startswith("time: about ") and unit_seconds(whole) > seconds(TURN, BENCH, probe_angles=4)
+    assert expected(whole).startswith("time: about ") and unit_seconds(whole) > seconds(
+        TURN, BENCH, samples=24, probe_angles=4
+    )
     assert seconds("backlash", probe_angles=4) is None
     assert levels.seconds(whole.design, []) == 0
 

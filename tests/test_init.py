@@ -1,17 +1,20 @@
 """`rvjax init`: a study of the loaded reducer for every known size and for a drawing; what is assumed says so."""
 
+import math
 import re
 import tomllib
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from rvjax import catalogue, cli, study
 from rvjax._reducer import plausible
+from rvjax.commands.allocate import shortfalls
 from rvjax.commands.init.compute import written
-from rvjax.life import static_rating
+from rvjax.life import dynamic_rating, static_rating
 from rvjax.study.variables import LAWS, OF_A_SIZE, changed, number_at
-from rvjax.units import mm, rpm, um
+from rvjax.units import arcmin, mm, rpm, um
 
 BASES = ["rv-20e", "rv-40e", "rv-40e-whole", "rv-80e", "rv-320e"]
 LOADED = {"loaded_transmission_error", "misfit", "bench_lost_motion", "life", "turn_pin_pressure", "arm_bearing_force"}
@@ -192,6 +195,16 @@ def test_a_torque_follows_the_size_and_an_interval_is_warned_of(drawing):
     assert len(new.warnings) == len(set(new.warnings))
 
 
+def test_a_bearing_that_does_not_fit_into_the_disc_is_warned_of(drawing):
+    """Cranks at 1.5 mm 76/2 = 57 mm: 2 (78 - 3.5 - 3 - 57) = 29 mm are left; the scaled rollers need more."""
+    new = written(drawing(DRAWING.replace("planet_teeth = 42", "planet_teeth = 62")))
+    across = (36 + 7) * 57 / 42
+    assert f"bearings.arm: {across:.4g} mm across the rollers, but the disc has 29 mm there (assumed)" in new.warnings
+    small = DRAWING.replace("planet_teeth = 42", "planet_teeth = 62")
+    small += 'bearings.arm.pitch_diameter = "22 mm"\nbearings.arm.roller_diameter = "4.5 mm"\n'
+    assert written(drawing(small)).warnings == ()
+
+
 def test_modifications_that_a_four_bar_study_assumes_are_not_taken_over(tmp_path):
     (tmp_path / "old.toml").write_text(written("rv-80e", "four-bar").text)
     new = written(str(tmp_path / "old.toml"))
@@ -263,3 +276,36 @@ def test_laws_of_a_size_leave_single_changes_alone():
     assert {law.name for law in OF_A_SIZE if law.whole}.isdisjoint(law.name for law in LAWS)
     assert changed(whole, values).contact.face_width == whole.contact.face_width
     assert changed(whole, values, whole=True).contact.face_width == pytest.approx(12 * mm * 70 / 64)
+
+
+def test_what_prevents_a_limit_and_what_would_do_is_said():
+    """4000 of 6000 h: the rating C times 1.5^0.3 = 1.129; the assumed limit of the pressure by its value."""
+    made = read(written("rv-80e").text)
+    missing = {"life": 2000 * 3600.0, "turn_pin_pressure": 300e6, "misfit": 0.0, "bench_lost_motion": 0.2 * arcmin}
+    found = shortfalls(made, SimpleNamespace(shortfall=missing | {"arm_bearing_force": math.inf}))
+    assert list(found) == ["life", "turn_pin_pressure", "bench_lost_motion", "arm_bearing_force"]
+    rating = float(dynamic_rating(made.design.bearings.arm)) / 1e3
+    assert found["life"] == (
+        "would have to move by 2000 h: >= 4000 h can be met; the assumed crank bearings prevent it: 1.13 times their "
+        f"rating C would do (bearings.arm: {1.5**0.3 * rating:.3g} kN instead of {rating:.3g} kN)"
+    )
+    assert found["turn_pin_pressure"] == (
+        "would have to move by 300 MPa: <= 3100 MPa can be met; the assumed limit prevents it: <= 3100 MPa would do"
+    )
+    assert found["bench_lost_motion"] == "would have to move by 0.2 arcmin: <= 1.2 arcmin can be met"
+    assert found["arm_bearing_force"] == "cannot be met: too many units fail"
+    certain = read(re.sub(r"(bearings.*?) # .*", r"\1 # measured", made.text))
+    assert shortfalls(certain, SimpleNamespace(shortfall=missing))["life"].endswith(": >= 4000 h can be met")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("base", ["rv-20e", "rv-80e", "rv-320e", "drawing.toml"])
+def test_the_chain_of_every_size_ends_with_a_certificate(drawing, tmp_path, monkeypatch, capsys, base):
+    """`init`, `check`, `allocate`: optimal tolerances, or the assumed value that prevents them."""
+    monkeypatch.chdir(tmp_path)
+    drawing()
+    assert cli.main(["init", "mine.toml", "--base", base]) == 0
+    assert cli.main(["check", "mine.toml"]) == 0 and "No warnings" in capsys.readouterr().out
+    code = cli.main(["allocate", "mine.toml", "--quiet"])
+    said = capsys.readouterr().out
+    assert (code == 0 and "Study mine: OPTIMAL" in said) or re.search("the assumed .* prevents? it: .* would do", said)

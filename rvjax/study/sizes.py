@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rvjax import catalogue
+from rvjax._reducer.plausible import shown
 from rvjax.catalogue import part_class
 from rvjax.designs import InvoluteStage, RVReducer
 from rvjax.life import static_rating
@@ -23,6 +24,7 @@ from rvjax.study.variables import AXIAL, NAMES, OF_A_SIZE, SIZES, Law, changed, 
 from rvjax.units import mm
 
 RING, CIRCLE, DISCS = "cycloid.pin_circle_radius", "cranks.circle_radius", "cycloid.disc_count"
+ARM = "bearings.arm.pitch_diameter"
 NEEDED = (
     "involute.sun_teeth", "involute.planet_teeth", "involute.module", "cycloid.disc_teeth", "cycloid.pin_count",
     "cycloid.eccentricity", RING, "cycloid.pin_radius", "cranks.count",
@@ -89,6 +91,8 @@ def completed(given: Mapping[str, PyTree]) -> dict[str, Assumed]:
             found[path] = _scaled(path, follows, _nearest(numbers[RING], near))
     if not any(path in numbers for path in PLACES):
         found |= _places(follows, numbers[DISCS])
+    if ARM in found and (tight := _tight({**numbers, **{path: item.value for path, item in found.items()}})):
+        found[ARM] = dataclasses.replace(found[ARM], outside=(*found[ARM].outside, tight))
     if not any(numbers.get(path) for path in MODIFICATIONS):
         numbers |= {path: item.value for path, item in found.items()}
         ratio, _ = tolerance_ratios(numbers)["equidistant_modification"]
@@ -187,6 +191,16 @@ def _places(follows: Mapping[str, Scalar], discs: int) -> dict[str, Assumed]:
     return {path: Assumed(value, *why) for path, value in zip(PLACES, values)}
 
 
+def _tight(numbers: Mapping[str, PyTree]) -> str:
+    """Line on a turning-arm bearing without space between the crank axis and the roots of the disc, else ""."""
+    ring, pin, e = (numbers[f"cycloid.{name}"] for name in ("pin_circle_radius", "pin_radius", "eccentricity"))
+    least = 2 * min(ring - pin - 2 * e - numbers[CIRCLE], numbers[CIRCLE] * np.sin(np.pi / numbers["cranks.count"]))
+    outer = numbers[ARM] + numbers["bearings.arm.roller_diameter"]
+    if outer < least:
+        return ""
+    return f"bearings.arm: {shown(outer, 'm')} across the rollers, but the disc has {shown(least, 'm')} there (assumed)"
+
+
 def rated_torque(ring: float) -> Assumed:
     """Rated torque at 15 r/min, N m, from the nearest size of a catalogue.
 
@@ -219,7 +233,7 @@ def tolerance_ratios(numbers: Mapping[str, PyTree]) -> dict[str, tuple[float, st
     Args:
         numbers: of the design by path, SI.
     """
-    found = {}
+    found = dict[str, tuple[float, str]]()
     for entry in SIZES:
         factor, path = (2, entry["radius"]) if "radius" in entry else (1, entry["diameter"])
         own, known = (tolerance_unit(factor * x) for x in (numbers[path], number_at(catalogue.RV_40E_WHOLE, path)))

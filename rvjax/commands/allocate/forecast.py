@@ -18,6 +18,10 @@ CERTIFICATES = {True: 5, False: 4}
 PASSES_A_POINT = 6  # of the cost curve
 # The same of rv-40e-whole, whose units are costly: passes solve those that decide, certificates share a sample.
 COSTLY_PASSES, COSTLY_CERTIFICATES, COSTLY_PART_OF_A_POINT = 8, 1.8, 0.6
+# Seconds of a phase besides its units: tracing, compilation (between a first run and one with kept programs), pictures.
+BESIDES = {SEARCHING: 20.0, CERTIFYING: 1.0, SAMPLING: 16.0, PRICING: 12.0}
+COSTLY_BESIDES = {SEARCHING: 35.0, CERTIFYING: 0.0, SAMPLING: 2.0, PRICING: 3.0}
+COMPILING = {True: "30 s for a loaded RV-40E, 60 s", False: "20 s for an RV-40E, 45 s"}
 
 
 def solved_units(study: Study) -> dict[str, int]:
@@ -60,7 +64,7 @@ def expected(study: Study) -> str:
         return "time: unknown, these levels are not measured"
     return (
         f"time: about {spelled(unit * sum(solved_units(study).values()))} of computation on the two cores of the "
-        "measured table, besides tracing and compilation (20 s for an RV-40E, 45 s at the first run); "
+        f"measured table, besides tracing and compilation ({COMPILING[study.costly]} at the first run); "
         f"chunks of {BLOCK:,} units, memory does not grow with their number"
     )
 
@@ -73,6 +77,6 @@ def phases_of(study: Study, before: str, *after: str) -> dict[str, float]:
         before: phase before it.
         *after: phases after it.
     """
-    unit, compiling = unit_seconds(study) or 0.0, {SEARCHING: 20.0, CERTIFYING: 1.0, SAMPLING: 16.0, PRICING: 12.0}
-    spent = {phase: compiling[phase] + unit * units for phase, units in solved_units(study).items()}
-    return {before: 6.0} | spent | dict.fromkeys(after, 10.0)
+    unit, besides = unit_seconds(study) or 0.0, COSTLY_BESIDES if study.costly else BESIDES
+    spent = {phase: besides[phase] + unit * units for phase, units in solved_units(study).items()}
+    return {before: 0.0} | spent | dict.fromkeys(after, 10.0)

@@ -16,8 +16,8 @@ from rvjax.study import EMBEDDED, MODIFICATIONS, Assumed, StudyError, completed,
 FOUR_BAR, LOADED = "four-bar", "loaded"
 MODELS = (LOADED, FOUR_BAR)
 QUESTIONS = {"rv": "rv-40e", "oscillatory-roller": "corr"}
-PARTS = {FOUR_BAR: ("involute", "cycloid", "cranks")}
-PARTS[LOADED] = (*PARTS[FOUR_BAR], "stiffness", "contact", "bearings")
+KINEMATIC = ("involute", "cycloid", "cranks")
+PARTS = {FOUR_BAR: KINEMATIC, LOADED: (*KINEMATIC, "stiffness", "contact", "bearings")}
 UNREAD = """# The loaded model uses teeth, base circles and pressure angle of the gears, and K1 = e zp / rp = {k1:.4g}.
 # It does not use module, centre distance, radius of the sun and a published K1, so that no contradiction remains.
 """
