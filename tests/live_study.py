@@ -7,7 +7,6 @@ import subprocess
 from importlib import resources
 
 import pytest
-
 from cli_study import one_start
 
 from rvjax import study

@@ -97,7 +97,8 @@ class InParts(Evaluator):
             rows, own = part.solve(self._population, z)
             values |= dict(zip(part.names, rows))
             status.append(own)
-        return values, worst(np.stack(status), axis=0)
+        flags: Any = worst(np.stack(status), axis=0)  # on the host
+        return values, flags
 
 
 def evaluator(response: Response, population: Population, seed: int, method: str, chunk: int) -> Evaluator:

@@ -144,7 +144,8 @@ def doubtful_costs(costs: Mapping[str, Cost], tolerances: PyTree) -> list[str]:
         for name, value in (("finest", finest), ("coarsest", coarsest)):
             if unit in HALF_WIDTH:
                 found += doubt(f"cost.{field}.{name}", value, unit, *HALF_WIDTH[unit])
-        if half and not finest * (1 - 1e-9) <= half <= coarsest * (1 + 1e-9):
+        likely = unit not in HALF_WIDTH or not doubt("", half, unit, *HALF_WIDTH[unit])  # else it has its line already
+        if half and likely and not finest * (1 - 1e-9) <= half <= coarsest * (1 + 1e-9):
             found.append(
                 f"cost.{field}: the process holds half-widths of {shown(finest, unit)} to {shown(coarsest, unit)}; "
                 f"the initial one is {shown(half, unit)}"
