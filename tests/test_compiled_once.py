@@ -87,7 +87,6 @@ CALLS = {  # name: one call of the function for each way that is decided before 
     "four_bar.revolution": [
         lambda x: four_bar.revolution(RV_40E, units(x)),
         lambda x: four_bar.revolution(RV_40E, units(x), angles=8, output_torque=100 * x, closure="first_order"),
-        lambda x: four_bar.revolution(RV_40E, units(x), angles=8, cranks="free", closure="newton"),
     ],
     "four_bar.figures": [
         lambda x: four_bar.figures(RV_40E, units(x), closure="first_order"),

@@ -71,7 +71,8 @@ def test_any_number_of_angles_and_any_batch_axis(angles):
     bore[0, 1, 2] = np.nan
 
     def figures(bore):
-        found = four_bar.revolution(catalogue.RV_40E, RVErrors(carrier_bore=bore), angles=angles)
+        errors = RVErrors(carrier_bore=bore)
+        found = four_bar.revolution(catalogue.RV_40E, errors, angles=angles, closure="first_order")
         return found.maximum, found.peak_to_peak, found.info.status, found.error
 
     last = jax.jit(jax.vmap(figures, in_axes=-1))(bore)
@@ -202,7 +203,7 @@ def test_dynamics_beyond_the_arithmetic():
     def amplitude(x):
         inertia, cycloid = base.inertia.replace(planet_inertia=x[0]), base.cycloid.replace(eccentricity=x[1])
         design = base.replace(inertia=inertia, cycloid=cycloid)
-        found = rvjax.dynamics.response(design, sun_speed=100.0, output_torque=x[2], harmonics=2)
+        found = rvjax.dynamics.response(design, sun_speed=100.0, output_torque=x[2], harmonics=1)
         size = jnp.sum(jnp.abs(jnp.where(jnp.isfinite(found.mean), found.mean, 0)))
         return size, (found.amplitude.real, found.mean, found.info.status)
 

@@ -69,7 +69,7 @@ def _errors_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[jax.
     if not still(tangents[2]):
         change += of_torque * tangents[2][:, None]
     if not still(tangents[3]):
-        change += of_angle * tangents[3]
+        change += of_angle * tangents[3][None]
     return error, change
 
 
