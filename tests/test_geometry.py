@@ -1,7 +1,6 @@
 """Figures of a design without errors, against closed forms, the curve itself and an independent optimum."""
 
 import json
-import math
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -30,6 +29,21 @@ TORQUE = 206 * 2 * (40 + 10 / 26) / 39  # N m at the output for 206 N m on a dis
 def reducer(e, ring, pin, width, **contact):
     cycloid = CycloidStage(39, 40, 2, e, ring, pin)
     return RV_40E.replace(cycloid=cycloid, contact=Contact(206e9, 0.3, width), **contact)
+
+
+READ = ("convex_radius", "crank_room", "envelope_volume", "pin_pressure", "mass")
+
+
+@jax.jit
+def read(lengths, torque):
+    """Figures of a reducer of an eccentricity, a pin circle, pins, a width and a mass of its discs."""
+    e, ring, pin, width, disc = lengths
+    inertia = RV_320E.inertia.replace(disc_mass=disc)
+    found = geometry.figures(reducer(e, ring, pin, width, inertia=inertia), torque)
+    return jnp.stack([getattr(found, name) for name in READ])
+
+
+slopes = jax.jit(jax.jacrev(read))
 
 
 def seven(*numbers):
@@ -78,25 +92,31 @@ def test_the_largest_pressure_is_that_of_a_fine_search_over_a_pitch():
 def test_the_least_volume_for_a_pressure():
     """Optimum of the nominal problem: 294,913.7 mm3 at K1 near 0.637, whatever the pin circle radius."""
 
-    def read(x):
-        ring, k1, share, width = 64 * mm, *x
-        found = geometry.figures(reducer(k1 * ring / 40, ring, share * ring, width * ring), TORQUE)
-        room = ring * math.sin(math.pi / 40) / (share * ring)
-        rest = [1 - found.pin_pressure / 1e9, found.convex_radius / (share * ring) - 0.2, room - 1.25]
-        return jnp.stack([found.envelope_volume * 1e3, *rest])
+    ring = 64 * mm
+    each = np.array([[ring / 40, 0, 0], [0, 0, 0], [0, ring, 0], [0, 0, ring], [0, 0, 0]])  # lengths of x
 
-    value = jax.jit(read)
-    slope = jax.jit(jax.jacfwd(read))
+    def at(x):
+        return each @ x + np.array([0, ring, 0, 0, 1.0])
 
-    def read_as(part):
-        return lambda x: np.asarray(part(x)[1:])
+    def value(x):
+        convex, _, volume, pressure, _ = np.asarray(read(at(x), TORQUE))
+        return np.array(
+            [volume * 1e3, 1 - pressure / 1e9, convex / (x[1] * ring) - 0.2, np.sin(np.pi / 40) / x[1] - 1.25]
+        )
+
+    def slope(x):
+        found = np.asarray(slopes(at(x), TORQUE)) @ each
+        convex = float(read(at(x), TORQUE)[0])
+        own = np.array([0, 1, 0]) / x[1]
+        bend = found[0] / (x[1] * ring) - own * convex / (x[1] * ring)
+        return np.stack([found[2] * 1e3, -found[3] / 1e9, bend, -own * np.sin(np.pi / 40) / x[1]])
 
     found = optimize.minimize(
-        lambda x: float(value(x)[0]),
+        lambda x: value(x)[0],
         [0.7, 0.045, 0.17],
-        jac=lambda x: np.asarray(slope(x)[0]),
+        jac=lambda x: slope(x)[0],
         bounds=[(0.5, 0.85), (1.5 / 64, 0.08), (0.1, 0.24)],
-        constraints={"type": "ineq", "fun": read_as(value), "jac": read_as(slope)},
+        constraints={"type": "ineq", "fun": lambda x: value(x)[1:], "jac": lambda x: slope(x)[1:]},
         options={"ftol": 1e-12, "maxiter": 200},
     )
     assert found.success
@@ -134,19 +154,11 @@ def test_the_mass_is_that_of_every_part_that_turns():
 
 
 def test_slopes_are_those_of_the_plain_value():
-    names = ("convex_radius", "crank_room", "envelope_volume", "pin_pressure", "mass")
-
-    def read(x):
-        e, ring, pin, width, disc = x
-        inertia = RV_320E.inertia.replace(disc_mass=disc)
-        found = geometry.figures(reducer(e, ring, pin, width, inertia=inertia), 412.0)
-        return jnp.stack([getattr(found, name) for name in names])
-
     at = np.array([1.3 * mm, 64 * mm, 3 * mm, 12 * mm, 1.0])
-    plain, slopes = jax.jit(read), jax.jit(jax.jacrev(read))(at)
+    found = np.asarray(slopes(at, 412.0))
     for k, step in enumerate(1e-5 * np.diag(at)):
-        due = (np.asarray(plain(at + step)) - plain(at - step)) / (2e-5 * at[k])
-        np.testing.assert_allclose(slopes[:, k], due, rtol=2e-5, atol=1e-9)
+        due = (np.asarray(read(at + step, 412.0)) - read(at - step, 412.0)) / (2e-5 * at[k])
+        np.testing.assert_allclose(found[:, k], due, rtol=2e-5, atol=1e-9)
 
 
 def test_float32_gives_the_same_to_its_rounding():
@@ -193,6 +205,14 @@ def test_bad_input_is_one_line():
         geometry.figures(RV_40E.replace(cycloid=RV_40E.cycloid.replace(pin_count=41)))
 
 
+figures = jax.jit(geometry.figures)
+
+
+def numbers(tree):
+    """Every number as an array, so that one program serves."""
+    return jax.tree.map(lambda x: np.asarray(x, float), tree)
+
+
 AMPLITUDES = np.array([2e-6, -3e-6, 1.5e-6, -1e-6])
 
 
@@ -223,13 +243,13 @@ def test_the_curvature_of_a_modified_flank_is_that_of_the_curve_itself(equidista
     cycloid = design.cycloid.replace(
         equidistant_modification=equidistant, shift_modification=shift, profile_modification=amplitude * np.ones(4)
     )
-    found = geometry.figures(design.replace(cycloid=cycloid), 412.0)
+    whole = design.cycloid.replace(profile_modification=np.zeros(4))
+    found, plain = (figures(numbers(design.replace(cycloid=flank)), 412.0) for flank in (cycloid, whole))
     psi, bend = curve_of(cycloid)
     assert found.convex_radius == pytest.approx(1 / bend.max(), rel=2e-4)
-    plain = geometry.figures(design, 412.0)
     assert abs(float(found.convex_radius - plain.convex_radius)) > 10e-6
     # p^2 goes with 1/R*, R* = 1/(1/rr + curvature), forces are those of the rigid nominal discs
-    _, nominal = curve_of(design.cycloid.replace(profile_modification=np.zeros(4)))
+    _, nominal = curve_of(whole)
     k1, places = 0.8125, 2 * np.pi * np.arange(40) / 40
     angles = psi[:, None] + places
     lever = np.maximum(np.sin(angles), 0) / np.sqrt(1 + k1**2 - 2 * k1 * np.cos(angles))
