@@ -10,7 +10,7 @@ from live_study import FEW
 
 import rvjax
 from rvjax import tolerances
-from rvjax.commands.allocate.answer import SHOWN_VALUES
+from rvjax.commands.allocate.forecast import SHOWN_VALUES
 from rvjax.commands.report import region, surrogate
 from rvjax.response.response import BLOCK
 
