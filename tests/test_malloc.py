@@ -9,7 +9,7 @@ import pytest
 CHILD = """
 import ctypes, os
 from pathlib import Path
-from rvjax import malloc
+from rvjax._ground import malloc
 
 def resident():
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")

@@ -60,7 +60,7 @@ def test_a_model_costs_one_package_and_one_line(fake_model, answers, undrawn, tm
     page, folder = tmp_path / "joint.html", tmp_path / "joint"
     assert cli.main(["report", str(tmp_path / "joint.toml"), "--output", str(page), "--quiet"]) == 0
     text = page.read_text()
-    for words in ("Twist over a turn", "as in the conditions", "bending of the key", "torque = 80.0", "arcsec"):
+    for words in ("Twist over a turn", "as in the conditions", "bending of the key", "torque = 80 N m", "arcsec"):
         assert words in text, words
     assert cli.main(["allocate", str(tmp_path / "joint.toml"), "--results", str(folder), "--quiet"]) == 0
     assert "OPTIMAL" in capsys.readouterr().out

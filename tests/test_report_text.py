@@ -55,13 +55,13 @@ def test_a_price_says_what_it_means():
     assert price_text(study, prices) == ""
     prices |= {"life": -0.0098 / 3600, "turn_pin_pressure": -0.0074e-6, "misfit": math.nan}
     saved = "100 h less life saves 0.98; 100 MPa more turn_pin_pressure saves 0.74"
-    assert price_text(study, prices) == f"shadow price: {saved}"
+    assert price_text(study, prices) == f"shadow price: {saved}."
     two = Requirement(lower=-1 * arcmin, upper=1 * arcmin)
     both = SimpleNamespace(
         requirements={"lost_motion": two}, output=lambda name: SimpleNamespace(shown=("arcmin", arcmin))
     )
     said = price_text(both, {"lost_motion": -15.6 / arcmin})
-    assert said == "shadow price: 0.1 arcmin wider limits of lost_motion save 1.56"
+    assert said == "shadow price: 0.1 arcmin wider limits of lost_motion save 1.56."
 
 
 def test_a_worst_unit_says_its_value_and_the_limit():

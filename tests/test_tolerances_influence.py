@@ -179,7 +179,7 @@ def test_cells_of_the_tables():
     output = Output("rad", "error", lambda *_: (0.0, 0), read_in="arcmin")
     cases = {
         "a": ("0.3000 arcmin/um", r"\d\d\.\d % \[\d\d\.\d, \d\d\.\d\]"),
-        "b": (r"no slope, rms 0\.\d{4} arcmin/um", r"\d\d\.\d % \[\d\d\.\d, \d\d\.\d\]"),
+        "b": (r"no slope \[rms 0\.\d{4} arcmin/um\]", r"\d\d\.\d % \[\d\d\.\d, \d\d\.\d\]"),
         "idle": ("no slope", "-"),
     }
     um, arcmin = 1e-6, np.pi / 180 / 60
@@ -192,5 +192,5 @@ def test_cells_of_the_tables():
         assert re.fullmatch(share, "-" if cell is None else cell.text())
     assert together_text({"life": found}) == ""
     together = influences(product, PAIR)[""]
-    said = f"errors act together; before scaling the shares sum to: y {100 * together.total.value:.0f} %"
+    said = f"errors act together; before scaling the shares sum to: y {100 * together.total.value:.0f} %."
     assert together_text({"life": found, "y": together}) == said

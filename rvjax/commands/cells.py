@@ -75,9 +75,9 @@ def met_text(requirement: Limits, verdict: Verdict, samples: int) -> str:
 UNMOVED = "no slope"
 UNMOVED_MEANS = (
     "no slope: raising and lowering the error act alike, or the model ignores it (share -); "
-    "rms: slope of single units, root mean square"
+    "rms: slope of single units, root mean square."
 )
-SHARE_MEANS = "share: variance that the error causes, alone and with others [95 %]; scaled to sum to 100 %"
+SHARE_MEANS = "share: variance that the error causes, alone and with others [95 %]; scaled to sum to 100 %."
 KNOWN = 5e-4  # half of the last digit of a share: no interval within it is shown
 
 
@@ -115,7 +115,7 @@ def slope_text(found: Influence, field: str, study: Study, output: Output) -> st
     if mean:
         return f"{mean:.{decimals}f} {per}"
     said = f"{single:.{decimals}f}"
-    return f"{UNMOVED}, rms {said} {per}" if float(said) > 0 else UNMOVED
+    return f"{UNMOVED} [rms {said} {per}]" if float(said) > 0 else UNMOVED
 
 
 def together_text(influence: Mapping[str, Influence]) -> str:
@@ -126,7 +126,7 @@ def together_text(influence: Mapping[str, Influence]) -> str:
     """
     sums = {name: found.total for name, found in influence.items() if found.total.lower > 1 + KNOWN}
     said = ", ".join(f"{name} {100 * total.value:.0f} %" for name, total in sums.items())
-    return f"errors act together; before scaling the shares sum to: {said}" if said else ""
+    return f"errors act together; before scaling the shares sum to: {said}." if said else ""
 
 
 def price_text(study: Study, prices: Mapping[str, float]) -> str:
@@ -150,7 +150,7 @@ def price_text(study: Study, prices: Mapping[str, float]) -> str:
             said.append(f"{step:g} {unit} wider limits of {requirement.prefix}{name} save{saved[5:]}")
         else:
             said.append(f"{step:g} {unit} {next(iter(limited))} {requirement.prefix}{name} {saved}")
-    return f"shadow price: {'; '.join(said)}" if said else ""
+    return f"shadow price: {'; '.join(said)}." if said else ""
 
 
 def failures_text(found: Statistics) -> str:

@@ -88,21 +88,21 @@ def typeset(cell: object) -> Markup:
         return ZERO
     if text.startswith(("✔", "✘")):
         return Markup('<span class="{}">{}</span>').format("met" if text[0] == "✔" else "missed-mark", text)
+    more = Markup("<small>[{}</small>").format(micro(interval)) if interval else Markup("")
     if text in MUTED:
-        return Markup('<span class="none">{}</span>').format(text)
+        return Markup('<span class="none">{}</span>{}').format(text, more)
     if text == "assumed":
         return Markup("<strong>assumed</strong>")
     said = micro(escape(text.replace("+-", "±").replace("<=", "≤").replace(">=", "≥")))
     said = Markup(str(said).replace(" and ", "<br>"))
     if said in ("", "-"):
         return said
-    more = Markup("<small>[{}</small>").format(interval) if interval else Markup("")
     return Markup('<span class="whole">{}</span>{}').format(said, more)
 
 
 def nil(cell: str) -> bool:
     """True if a narrow screen hides a typeset cell."""
-    return cell in ("", "-") or cell.startswith('<span class="none">')
+    return cell in ("", "-") or (cell.startswith('<span class="none">') and cell.endswith("</span>"))
 
 
 def micro(text: str) -> Markup:
