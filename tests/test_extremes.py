@@ -49,7 +49,7 @@ def test_figures_of_a_turn_beyond_a_right_angle(dtype):
     bore = (size[:, None, None] * rng.uniform(-1, 1, (300, 2, 2))).astype(dtype)
     bore[..., 0] *= 0.1
     torque = (rng.choice([-400.0, 0.0, 400.0], 300)).astype(dtype)
-    (most, found), slope = turn(3, dtype)(bore, torque)
+    (most, found), slope = turn(7, dtype)(bore, torque)
     status = np.asarray(found.info.status)
     finite_as_promised([most, found.minimum, found.largest_misfit], status)
     good = status == Status.CONVERGED
@@ -60,7 +60,7 @@ def test_figures_of_a_turn_beyond_a_right_angle(dtype):
     np.testing.assert_allclose(np.asarray(found.minimum)[good], curve.min(1), tolerance, 1e-3 * tolerance)
     assert np.isfinite(slope).all()
     # beside other units a unit is what it was
-    (again, _), _ = turn(3, dtype)(np.roll(bore, 17, 0), np.roll(torque, 17))
+    (again, _), _ = turn(7, dtype)(np.roll(bore, 17, 0), np.roll(torque, 17))
     np.testing.assert_allclose(np.roll(again, -17), most, 1e-5 if dtype == np.float32 else 1e-12)
 
 

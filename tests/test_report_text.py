@@ -36,8 +36,10 @@ def allocation(**changes):
 def headline(**changes):
     target = changes.pop("target", None)
     study = SimpleNamespace(
-        name="s", about=About(), joint_target=target, output=lambda name: SimpleNamespace(shown=("arcmin", arcmin))
-    )
+        name="s", about=About(), joint_target=target, output=lambda name: SimpleNamespace(shown=("arcmin", arcmin)),
+        requirements=dict.fromkeys(("error", "met", "lost"), Requirement(upper=1 * arcmin)),
+        assumed_limits=(), assumed=[],
+    )  # fmt: skip
     found = SimpleNamespace(study=study, allocation=allocation(**changes), unlimited={})
     return allocate.headline(found).split("\n")
 
@@ -143,7 +145,7 @@ def test_a_shortfall_is_told_in_the_unit_of_its_limit():
     missing = {"error": 0.3 * arcmin, "met": 0.0, "lost": np.inf}
     lines = headline(feasible=False, status="INFEASIBLE", shortfall=missing)
     assert lines[0] == "Study s: INFEASIBLE" and len(lines) == 5
-    assert "limit of error" in lines[3] and lines[3].endswith("0.3 arcmin")
+    assert "limit of error" in lines[3] and lines[3].endswith("0.3 arcmin: <= 1.3 arcmin can be met")
     assert "limit of lost cannot be met" in lines[4]
 
 
