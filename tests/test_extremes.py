@@ -35,7 +35,7 @@ def turn(angles, dtype=np.float64):
 
     def figures(bore, torque):
         errors = RVErrors(carrier_bore=bore, bearing_clearance=jnp.asarray(2e-6, bore.dtype))
-        found = four_bar.revolution(design, errors, angles=angles, output_torque=torque, closure="newton")
+        found = four_bar.revolution(design, errors, angles=angles, output_torque=torque)
         return found.maximum, found
 
     return jax.jit(jax.vmap(jax.value_and_grad(figures, has_aux=True)))
