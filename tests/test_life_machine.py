@@ -163,29 +163,33 @@ def test_single_precision_is_good_to_a_percent(rated, thorough):
 
 # --- the torque for a life
 
-SOUGHT = PLAN | dict(life=2e7, output_speed=15 * rpm)
+SOUGHT = PLAN | dict(life=2e7, output_speed=15 * rpm, contact="linear")
 
 
-def test_a_torque_for_a_life_gives_it_back(thorough):
-    """And falls with life and speed; long: its derivatives are those of its differences."""
+def test_a_torque_for_a_life_falls_with_life_and_speed():
+    """As many revolutions need the same torque; none gives more than interference leaves."""
     found = rvjax.check(life.rated_torque(DESIGN, ERRORS, **SOUGHT))
-    duty = life.Duty(np.full(4, float(found.torque)), np.full(4, -15 * rpm), np.ones(4))
-    assert float(rate(DESIGN, ERRORS, duty).life) == pytest.approx(2e7, rel=1e-9)
     twice = life.rated_torque(DESIGN, ERRORS, **(SOUGHT | dict(life=1e7, output_speed=30 * rpm)))
-    assert float(twice.torque) == pytest.approx(float(found.torque), rel=1e-9)  # as many revolutions
-    if thorough:
-        asked = lambda x: life.rated_torque(DESIGN, ERRORS, **(SOUGHT | dict(life=x))).torque  # noqa: E731
-        _, slope = jax.jvp(asked, (2e7,), (1.0,))  # the rule is one of forward mode; test_derivatives.py transposes it
-        ends = [asked(2e7 * share) for share in (1 - 1e-4, 1 + 1e-4)]
-        assert float(slope) == pytest.approx(float(ends[1] - ends[0]) / 4e3, rel=1e-4) and float(slope) < 0
-
-
-def test_no_torque_gives_more_than_interference_leaves(thorough):
+    assert float(twice.torque) == pytest.approx(float(found.torque), rel=1e-9)
+    longer = life.rated_torque(DESIGN, ERRORS, **(SOUGHT | dict(life=2.2e7)))
+    assert float(longer.torque) < float(found.torque)
     found = life.rated_torque(DESIGN, ERRORS, **(SOUGHT | dict(life=1e15)))
     assert int(found.info.status) == Status.NO_BRACKET and np.isnan(found.torque)
-    if thorough:  # many steps of many equilibria
-        found = life.rated_torque(DESIGN, ERRORS, **(SOUGHT | dict(life=1e-6)))
-        assert int(found.info.status) == Status.CONTACT_OVERLOAD and np.isnan(found.torque)
+
+
+@pytest.mark.long  # programs of Hertzian pins and of the slope; many steps of many equilibria
+def test_a_torque_for_a_life_gives_it_back():
+    """Its derivative is that of its differences."""
+    options = PLAN | dict(output_speed=15 * rpm)
+    asked = lambda x: life.rated_torque(DESIGN, ERRORS, life=x, **options)  # noqa: E731
+    torque = float(rvjax.check(asked(2e7)).torque)
+    duty = life.Duty(np.full(4, torque), np.full(4, -15 * rpm), np.ones(4))
+    assert float(rate(DESIGN, ERRORS, duty).life) == pytest.approx(2e7, rel=1e-9)
+    _, slope = jax.jvp(lambda x: asked(x).torque, (2e7,), (1.0,))  # of forward mode; test_derivatives.py transposes it
+    ends = [asked(2e7 * share).torque for share in (1 - 1e-4, 1 + 1e-4)]
+    assert float(slope) == pytest.approx(float(ends[1] - ends[0]) / 4e3, rel=1e-4) and float(slope) < 0
+    found = asked(1e-6)
+    assert int(found.info.status) == Status.CONTACT_OVERLOAD and np.isnan(found.torque)
 
 
 LEFT, MOST = 50.0, 200.0  # N of interference; N m at which a contact law ends, between the start and the root

@@ -1,10 +1,12 @@
 """Batches of the loaded model: every lane as alone, slow ones too, failed ones contained; precision and compilation."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from loaded_cases import NAMED, assert_same, at, design_of, errors_of, solve
+from loaded_cases import NAMED, assert_same, at, design_of, errors_of, solve, supported
 
 from rvjax import Status, loaded
 from rvjax.loaded.equilibrium import outcome, prepare, solve as solve_from
@@ -178,14 +180,17 @@ def test_units_of_their_own_geometry_in_a_batch_are_their_cases():
     agree_with_each_alone([(D, E), (T,), (A,)], designs, errors, [RATED, -RATED], [0.3, 140.0])
 
 
-def test_single_precision(good):
+def test_single_precision():
     """The aim for loaded cases: error 1e-4 relative + 1e-8 rad, forces 1e-3 of the largest. A few ill-conditioned units
-    of a hundred miss it, by up to the rounding of their gaps times a condition of 1e4: 5e-4."""
-    given = (DESIGN, sampled(UNITS), np.asarray(RATED * SIGNS[0]), np.asarray(ANGLES[0]))
-    design, errors, torque, angle = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), given)
-    ones = [solve_case(design, unit(errors, n), torque, angle) for n in range(UNITS)]
-    single = jax.tree.map(lambda *leaves: np.stack(leaves), *ones)
-    double = at(good, 0)
+    of a hundred miss it, by up to the rounding of their gaps times a condition of 1e4: 5e-4. Linear pins; the contact
+    laws have their own test."""
+    errors = jax.device_get(sampled(UNITS))
+    given = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), (supported(DESIGN, 1e9), errors, ANGLES[0], RATED))
+    design, small, angle, torque = given
+    one = partial(loaded.equilibrium, design, input_angle=angle, output_torque=torque, contact="linear")
+    singles = [one(unit(small, n)) for n in range(UNITS)]
+    doubles = [solve(DESIGN, unit(errors, n), ANGLES[0], RATED, contact="linear") for n in range(UNITS)]
+    single, double = (jax.tree.map(lambda *leaves: np.stack(leaves), *ones) for ones in (singles, doubles))
     assert single.error.dtype == jnp.float32
     assert np.all(single.info.status == Status.CONVERGED)
     off = np.abs(np.asarray(single.error, float) - double.error)

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from loaded_cases import NAMED, design_of, errors_of, plain, solve as solve_case
+from loaded_cases import NAMED, design_of, errors_of, plain, solve as solve_case, supported
 
 import rvjax
 from rvjax import Status, loaded
@@ -141,9 +141,16 @@ def test_revolution_and_torsion_are_their_equilibria():
     """The warm starts change nothing: every angle and torque as solved alone."""
     design = design_of(ALL_ERRORS)
     errors = errors_of(ALL_ERRORS, design)
-    turn = loaded.revolution(*plain((design, errors)), output_torque=RATED, samples=24)
-    alone = [solve(errors, 2 * np.pi * 105 / 40 * j / 24, RATED).error for j in (0, 5, 23)]
-    np.testing.assert_allclose(np.asarray(turn.error)[[0, 5, 23]], alone, rtol=1e-10)
+    given = plain((supported(design, 1e9), errors))
+    turn = loaded.revolution(*given, output_torque=RATED, samples=24, contact="linear")
+    alone = [solve(errors, 2 * np.pi * 105 / 40 * j / 24, RATED, contact="linear") for j in range(24)]
+    error, pins = (np.array([getattr(found, name) for found in alone]) for name in ("error", "pins"))
+    np.testing.assert_allclose(turn.error, error, rtol=1e-10)
+    assert float(turn.mean) == pytest.approx(error.mean(), rel=1e-9)
+    assert float(turn.peak_to_peak) == pytest.approx(np.ptp(error), rel=1e-9)
+    waves = np.fft.fft(error)[:5] / 24 * np.array([1, 2, 2, 2, 2])
+    np.testing.assert_allclose(turn.harmonics, waves, rtol=0, atol=1e-9 * np.abs(error).max())
+    assert float(turn.largest_pin) == pytest.approx(pins.max(), rel=1e-8)
     rvjax.check(turn)
 
 

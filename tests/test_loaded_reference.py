@@ -70,6 +70,7 @@ def test_torsion_agrees_with_the_independent_one(name):
     np.testing.assert_allclose(found.stiffness, expect["stiffness"], rtol=1e-6)
 
 
+@pytest.mark.long  # test_loaded_properties.py has a turn against its equilibria, which are those of this file
 @pytest.mark.parametrize("name", [case["name"] for case in CASES if case["kind"] == "revolution"])
 def test_revolution_agrees_with_the_independent_one(name):
     """Harmonics are sums of the errors: 1e-9 of the largest error."""
