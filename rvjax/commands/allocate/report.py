@@ -100,7 +100,7 @@ def headline(answer: Answer) -> str:
             lines.append(f"with ISO 286 grades: cost {graded.cost:.3f} ({graded.status})")
     else:
         lines.append("No tolerances within the process ranges were found to meet the requirements; at the finest ones")
-        lines += [f"  the limit of {name} {text}" for name, text in shortfalls(study, allocation).items()]
+    lines += [f"  the limit of {name} {text}" for name, text in shortfalls(study, allocation).items()]
     return "\n".join(lines)
 
 
