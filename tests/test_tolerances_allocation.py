@@ -39,6 +39,8 @@ from rvjax.tolerances import (
     it_width,
 )
 from rvjax.tolerances.allocation import certificate
+from rvjax.tolerances.allocation.certificate import Certifier
+from rvjax.tolerances.allocation.search import Search
 from rvjax.tolerances.batch.monte_carlo import Run
 from rvjax.units import mm, um
 
@@ -285,6 +287,26 @@ def test_grades():
     ]
     assert graded.grades == min(sets, key=lambda item: item[0])[1]
     assert graded.certificate.yield_.lower >= 0.9973
+
+
+def test_certified_grades_are_the_result_where_free_half_widths_are_not_certified(monkeypatch):
+    """Half-widths 2 % above the optimum do not hold and nothing else is tried; grades not wider than these hold."""
+    sized = {name: one.replace(size=25 * mm) for name, one in PAIR.items()}
+
+    def above(self, search, point):
+        wide = 1.02 * point.half_widths
+        return wide, self.draw(search.training.with_half_widths(wide))
+
+    monkeypatch.setattr(Certifier, "settle", above)
+    monkeypatch.setattr(Certifier, "polished", lambda self, search, point, *found: found)
+    monkeypatch.setattr(Search, "promising", lambda *_: False)
+    requirement = Requirement(lower=-LIMIT, upper=LIMIT)
+    bare = allocate(linear, sized, requirement, **CERTIFIED)
+    assert bare.status == "NOT_CERTIFIED" and bare.certificate.yield_.lower < 0.9973
+    found = allocate(linear, sized, requirement, grades=True, **CERTIFIED)
+    assert found.status == "OPTIMAL" and found.cost == found.graded.cost > bare.cost
+    assert found.half_widths == found.graded.half_widths and found.certificate.yield_.lower >= 0.9973
+    assert found.grades is None and found.learned == bare.learned
 
 
 @pytest.mark.parametrize(

@@ -186,6 +186,9 @@ def allocated(
     t, chosen, certificate = Rounding(search, certifier, priced).graded(found.half_widths, found.certificate)
     status = "OPTIMAL" if certifier.holds(certificate) else "NOT_CERTIFIED"
     snapped = dataclasses.replace(found, status=status, half_widths=t, certificate=certificate)
+    if status == "OPTIMAL" and not certifier.holds(found.certificate):  # grades near it are certified: they are the set
+        found = dataclasses.replace(snapped, status=_status(search, found.learned, t))
+        result = _result(search, found, *given)
     graded = dataclasses.replace(_result(search, snapped, *given), grades=chosen)
     return unwrapped(dataclasses.replace(result, graded=graded)), solved
 
@@ -233,12 +236,17 @@ def _cheapest(search: Search, certifier: Certifier, point: Point, start: np.ndar
     else:
         half_widths, certificate = _aimed(search, certifier, point, start)
     learned, nothing = search.cost(point.half_widths), dict.fromkeys(run.requirements, 0.0)
-    status = "OPTIMAL" if settled else "MAX_STEPS"
-    if search.cost(half_widths) > (1 + DEARER) * learned:
-        status = "SUBOPTIMAL"
+    status = _status(search, learned, half_widths, settled)
     if not certifier.holds(certificate):
         status = "NOT_CERTIFIED"
     return _Found(status, learned, half_widths, certificate, prices, nothing, search.residual(point))
+
+
+def _status(search: Search, learned: float, half_widths: np.ndarray, settled: bool = True) -> str:
+    """Status of certified half-widths, by their cost over the learned one and the end of the search."""
+    if search.cost(half_widths) > (1 + DEARER) * learned:
+        return "SUBOPTIMAL"
+    return "OPTIMAL" if settled else "MAX_STEPS"
 
 
 def _certified(search: Search, certifier: Certifier, point: Point, start: np.ndarray) -> tuple[np.ndarray, Statistics]:

@@ -114,7 +114,7 @@ def headline(answer: Answer) -> str:
         lines += unlimited_texts(answer.unlimited, study)
     else:
         lines.append("No tolerances within the process ranges were found to meet the requirements; at the finest ones")
-        lines += [f"  the limit of {name} {text}" for name, text in shortfalls(study, allocation).items()]
+    lines += [f"  the limit of {name} {text}" for name, text in shortfalls(study, allocation).items()]
     return "\n".join(lines)
 
 

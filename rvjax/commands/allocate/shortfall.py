@@ -6,10 +6,12 @@ import math
 from rvjax.commands.cells import limit_text
 from rvjax.life import dynamic_rating
 from rvjax.outputs import Output
+from rvjax.population import deviate_of
 from rvjax.study import Study
-from rvjax.tolerances import Allocation
+from rvjax.tolerances import Allocation, Requirement, Statistics
 
 LIVES = ("life", "arm_bearing_life")
+CONFIDENCE = 0.95  # of certificates
 EXPONENT = 10 / 3  # of a bearing life in the rating C, ISO 281
 
 
@@ -27,14 +29,27 @@ def shortfall_text(shortfall: float, output: Output) -> str:
 
 
 def shortfalls(study: Study, allocation: Allocation) -> dict[str, str]:
-    """Text on each limit that cannot be met at the finest tolerances, by response.
+    """Text on each limit that cannot be met at the finest tolerances, or is not certified, by response.
 
     Args:
         study: solved study.
         allocation: its result.
     """
     missing = {name: found for name, found in allocation.shortfall.items() if found > 0}
+    if allocation.feasible and allocation.status == "NOT_CERTIFIED":
+        missing = _uncertified(study, allocation.certificate)
     return {name: _text(study, name, found) for name, found in missing.items()}
+
+
+def _uncertified(study: Study, certificate: Statistics) -> dict[str, float]:
+    """Distance by which each limit of a share must move so that the units of a certificate prove its target."""
+    found = {}
+    for name, verdict in (certificate.verdicts or {}).items():
+        limits = study.requirements[name]
+        if not verdict.met and isinstance(limits, Requirement) and certificate.values is not None:
+            margin = limits.certified_margin(certificate.values[name], deviate_of(CONFIDENCE))
+            found |= {name: margin} if 0 < margin < math.inf else {}
+    return found
 
 
 def _text(study: Study, name: str, missing: float) -> str:
