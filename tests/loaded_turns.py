@@ -19,7 +19,6 @@ SAMPLES, ORDERS = 480, np.arange(241)
 TURN = 2 * np.pi * np.arange(SAMPLES) / SAMPLES  # of the carrier
 PINS = 2 * np.pi * np.arange(40) / 40
 ENCODER = loaded.Reading(radius=75 * mm, disc_position=(-11 * mm, 11 * mm), height=50 * mm)
-RING, TILT = ENCODER.replace(ring_gain=2e-9), ENCODER.replace(tilt_gain=1e-7)
 ALL = ENCODER.replace(ring_gain=2e-9, tilt_gain=1e-7, dent=5.4e-9, scale_eccentricity=(3e-6, -2e-6))
 
 

@@ -11,6 +11,7 @@ from loaded_turns import (
     ALL,
     ENCODER,
     PINS,
+    SUPPORT,
     TURN,
     found_over_a_turn,
     harmonics,
@@ -24,7 +25,7 @@ from loaded_turns import (
 import rvjax
 from rvjax import Status, loaded
 from rvjax.loaded.equilibrium import prepare
-from rvjax.loaded.inputs import admit, check_input
+from rvjax.loaded.inputs import admit, check_input, pin_compliance
 from rvjax.published.rv160_reducer import MACHINE, NONE
 from rvjax.units import arcsec, mm
 
@@ -94,8 +95,8 @@ def test_orders_of_the_table():
 
 def wave(harmonic, stiffness=MACHINE.stiffness):
     """Spectrum of d alpha / d eps for a wave 1 + eps cos(m phi) of the support's compliance, arcsec."""
-    shape = np.cos(harmonic * PINS)
-    return np.abs(harmonics(slopes_over_a_turn(sprung(stiffness=stiffness), 1000.0, shape)[1].error)) / arcsec
+    _, slopes = slopes_over_a_turn(sprung(stiffness=stiffness), 1000.0, np.cos(harmonic * PINS))
+    return np.abs(harmonics(slopes.error)) / arcsec
 
 
 UNLIKE = MACHINE.stiffness.replace(turning_arm_bearing=np.array([[7e8] * 3, [8e8] * 3]))
@@ -201,23 +202,21 @@ def test_the_couple_of_the_discs_tilts_the_scale_by_its_closed_form():
     np.testing.assert_allclose(found, 0.75 * 22 * mm * force * 1e-9, rtol=2e-4)  # 40 pins in place of an integral
 
 
-def compliances(law, **contact):
-    """Coefficients of the contact law of each pin, and the level of Hertzian ones, (1 or 40,)."""
-    design = MACHINE.replace(contact=MACHINE.contact.replace(**contact))
+def design_on(pin_support=None, pin_stiffness=None):
+    return plain(MACHINE.replace(contact=MACHINE.contact.replace(pin_support=pin_support, pin_stiffness=pin_stiffness)))
 
-    @jax.jit
-    def found(design, errors):
-        layout = check_input(design, errors, law, "fixed", "fixed")
-        system = prepare(layout, admit(layout, design, errors, 900.0, 3.7), jnp.asarray(3.7)).system
-        return system.compliance, system.level
 
-    return found(*plain((design, NONE)))
+@jax.jit
+def levels(design, errors):
+    """Coefficient and levels of the hertz contact law, (1,) and (2, 40)."""
+    layout = check_input(design, errors, "hertz", "fixed", "fixed")
+    system = prepare(layout, admit(layout, design, errors, 900.0, 3.7), jnp.asarray(3.7)).system
+    return system.compliance, system.level
 
 
 def test_equal_supports_are_one_support():
     """To rounding; and a very stiff support is none."""
-    one, many, stiff = (compliances("hertz", pin_support=k) for k in (2e8, np.full(40, 2e8), np.full(40, 1e30)))
-    rigid = compliances("hertz")
+    one, many, stiff, rigid = (levels(design_on(k), plain(NONE)) for k in (2e8, SUPPORT * 2, np.full(40, 1e30), None))
     np.testing.assert_allclose(many[1], one[1], rtol=1e-14)
     np.testing.assert_allclose(stiff[1], rigid[1], rtol=1e-14)
     (approach,) = rigid[0]
@@ -228,13 +227,13 @@ def test_equal_supports_are_one_support():
 def test_linear_pins_stand_on_their_supports():
     """In series where their own stiffness is given; the mesh stiffness includes the mean support, so that only
     differences count beside it."""
-    rng = np.random.default_rng(1)
-    supports, rigid = 1e8 * rng.uniform(0.5, 2, 40), float(compliances("linear")[0][0])
-    for equal in (2e8, np.full(40, 2e8)):
-        np.testing.assert_allclose(compliances("linear", pin_support=equal)[0], rigid, rtol=1e-14)
-        series = compliances("linear", pin_support=equal, pin_stiffness=5e7)[0]
-        np.testing.assert_allclose(series, 4e7, rtol=1e-14)
-    found = 1 / np.asarray(compliances("linear", pin_support=supports)[0])
+    supports = 1e8 * np.random.default_rng(1).uniform(0.5, 2, 40)
+    stiffness = jax.jit(partial(pin_compliance, check_input(MACHINE, NONE, "linear", "fixed", "fixed")))
+    rigid = float(stiffness(design_on()))
+    for equal in (2e8, SUPPORT * 2):
+        np.testing.assert_allclose(stiffness(design_on(equal)), rigid, rtol=1e-14)
+        np.testing.assert_allclose(stiffness(design_on(equal, 5e7)), 4e7, rtol=1e-14)
+    found = 1 / np.asarray(stiffness(design_on(supports)))
     np.testing.assert_allclose(found - np.mean(found), 1 / supports - np.mean(1 / supports), rtol=1e-12, atol=1e-22)
     np.testing.assert_allclose(np.mean(found), 1 / rigid, rtol=1e-13)
 
