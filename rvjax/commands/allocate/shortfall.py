@@ -43,12 +43,13 @@ def shortfalls(study: Study, allocation: Allocation) -> dict[str, str]:
 
 def _uncertified(study: Study, certificate: Statistics) -> dict[str, float]:
     """Distance by which each limit of a share must move so that the units of a certificate prove its target."""
-    found = {}
+    found = dict[str, float]()
     for name, verdict in (certificate.verdicts or {}).items():
         limits = study.requirements[name]
         if not verdict.met and isinstance(limits, Requirement) and certificate.values is not None:
             margin = limits.certified_margin(certificate.values[name], deviate_of(CONFIDENCE))
-            found |= {name: margin} if 0 < margin < math.inf else {}
+            if 0 < margin < math.inf:
+                found[name] = margin
     return found
 
 
