@@ -202,7 +202,7 @@ half_width = "1 um"
 [requirement.transmission_error]
 upper = "1 arcmin"
 '''
-    with pytest.raises(StudyError, match="^x: the unit without errors cannot be solved: CHANGE_POINT$"):
+    with pytest.raises(StudyError, match=r"^x: the unit without errors cannot be solved: CHANGE_POINT$"):
         parse_study(text, name="x")
 
 
