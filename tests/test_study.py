@@ -194,7 +194,7 @@ def test_bad_input_is_one_clear_line(old, new, words):
 
 def test_a_unit_without_errors_that_cannot_be_solved_is_refused():
     """Free cranks of a parallelogram: at its change points the coupler may go either way."""
-    text = '''
+    text = """
 [design]
 base = "rv-40e"
 [conditions]
@@ -204,7 +204,7 @@ cranks = "free"
 half_width = "1 um"
 [requirement.transmission_error]
 upper = "1 arcmin"
-'''
+"""
     with pytest.raises(StudyError, match=r"^x: the unit without errors cannot be solved: CHANGE_POINT$"):
         parse_study(text, name="x")
 
