@@ -3,6 +3,7 @@
 import functools
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from rvjax import LinkDeviations, Status, four_bar
@@ -54,10 +55,11 @@ def solver(methods):
 
 @functools.cache
 def slopes(methods):
-    """Batch of derivatives of the coupler angle to (e, spacing, deviations)."""
+    """Batch of derivatives of the coupler angle to (e, spacing, deviations), of linkages that converged."""
 
     def angle(numbers, angle, ratio):
-        return one(*numbers, angle, ratio, methods=methods).coupler_angle
+        found = one(*numbers, angle, ratio, methods=methods)
+        return jnp.where(found.info.status == Status.CONVERGED, found.coupler_angle, 0)
 
     return padded(jax.grad(angle))
 

@@ -284,7 +284,7 @@ def test_what_is_refused():
             dynamics.response(RV_320E, sun_speed=100.0, output_torque=TORQUE, **call)
 
 
-def test_statuses_of_modes_and_mean_state_by_lane():
+def test_statuses_of_modes_and_mean_state():
     def lane(e, torsion):
         design = RV_320E.replace(
             cycloid=RV_320E.cycloid.replace(eccentricity=e),
@@ -292,9 +292,8 @@ def test_statuses_of_modes_and_mean_state_by_lane():
         )
         return dynamics.static(design, output_torque=TORQUE), dynamics.modes(design)
 
-    e = jnp.array([2.2e-3, -1.0, jnp.nan, 2.2e-3, 2.2e-3])
-    torsion = jnp.array([6.99e4, 6.99e4, 6.99e4, jnp.inf, 0.0])
-    static, modes = jax.jit(jax.vmap(lane))(e, torsion)
+    e, torsion = [2.2e-3, -1.0, np.nan, 2.2e-3, 2.2e-3], [6.99e4, 6.99e4, 6.99e4, np.inf, 0.0]
+    static, modes = jax.tree.map(lambda *x: np.stack(x), *map(jax.jit(lane), e, torsion))
     names = [Status.CONVERGED, Status.INVALID_GEOMETRY, Status.NONFINITE, Status.NONFINITE]
     assert static.info.status.tolist() == [*names, Status.SINGULAR]
     assert modes.info.status.tolist() == [*names, Status.CONVERGED]

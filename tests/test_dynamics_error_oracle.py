@@ -38,6 +38,7 @@ def marched(design, errors, speed, quarters, steps, **mesh):
     return {round(order): values for order, values in lines.items()}
 
 
+@pytest.mark.long  # the reference has every error
 def test_every_error_acts_through_its_mean_over_the_members():
     """All fields at once, two cranks and three discs: nothing but the orders told, and those as told.
 
