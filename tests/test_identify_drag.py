@@ -17,6 +17,7 @@ from rvjax.tolerances import Tolerance
 from rvjax.units import arcsec, rpm, um
 
 GIVEN = models.kind(READ).conditions(rated_torque=1600.0, samples=4)
+TOLD = dataclasses.replace(GIVEN, samples=5)  # programs are kept by their conditions: one of a law serves no equilibria
 TORQUE = np.array([-1600.0, -800.0, -200.0, 0.0, 200.0, 800.0, 1600.0])  # of the bench
 DRAG, CLEARANCE, STIFFNESS = 40.0, 6 * um, 0.9
 PRIOR = {
@@ -35,11 +36,12 @@ def told(layout, design, errors, torques, angles):
 
 
 @pytest.fixture(params=["told", pytest.param("equilibria", marks=pytest.mark.long)])
-def law(request, monkeypatch):
-    """What the loaded model answers."""
-    if request.param == "told":
-        monkeypatch.setattr(observation, "_errors", told)
-    return request.param
+def given(request, monkeypatch):
+    """Conditions under which the loaded model answers by the law, or by its equilibria."""
+    if request.param == "equilibria":
+        return GIVEN
+    monkeypatch.setattr(observation, "_errors", told)
+    return TOLD
 
 
 @jax.vmap
@@ -50,21 +52,21 @@ def solved(torque):
 
 
 @pytest.fixture
-def data(law):
+def data(given):
     """Of a unit, input held: the torque on its discs is against that of the bench. Friction holds it back on either
     branch, the rising and the falling one."""
     torques = -np.concatenate([TORQUE - DRAG, TORQUE + DRAG])
     errors = RVErrors.for_design(READ, bearing_clearance=CLEARANCE)
     angle = (
-        solved(torques) if law != "told" else told(None, READ.stiffer(STIFFNESS), errors, torques, np.zeros(1))[:, 0]
+        solved(torques) if given is GIVEN else told(None, READ.stiffer(STIFFNESS), errors, torques, np.zeros(1))[:, 0]
     )
     rising, falling = np.split(np.asarray(angle), 2)
     return {"angle": (rising + falling) / 2, "width": falling - rising}
 
 
-def midline(nuisances):
+def midline(nuisances, given):
     loop = models.kind(READ).observations("loaded")["loop"]
-    return bench.Midline(READ, -TORQUE, loop, GIVEN, nuisances)
+    return bench.Midline(READ, -TORQUE, loop, given, nuisances)
 
 
 def seen_by(model, known):
@@ -72,10 +74,10 @@ def seen_by(model, known):
     return jax.jit(lambda values: model(values))(known)
 
 
-def test_a_loop_is_as_wide_as_its_drag(data):
+def test_a_loop_is_as_wide_as_its_drag(given, data):
     """The width is drag times compliance, from the branches; the midline has the clearance."""
     known = dict(bearing_clearance=CLEARANCE, stiffness=STIFFNESS, offset=0.0, drag=DRAG)
-    seen = seen_by(midline(("offset", "drag")), known)
+    seen = seen_by(midline(("offset", "drag"), given), known)
     np.testing.assert_allclose(seen["angle"], data["angle"], atol=1e-12)
     np.testing.assert_allclose(seen["width"], data["width"], atol=1e-12)
 
@@ -95,9 +97,9 @@ nuisance = ["offset", "drag"]
 """
 
 
-def test_a_measured_loop_is_that_of_its_unit(data):
+def test_a_measured_loop_is_that_of_its_unit(given, data):
     """The model of a study predicts the loop of a unit where the bench measured it, at the torque of the bench."""
-    asked = dataclasses.replace(study.parse_study(STUDY, name="loop", solve=False), design=READ, conditions=GIVEN)
+    asked = dataclasses.replace(study.parse_study(STUDY, name="loop", solve=False), design=READ, conditions=given)
     seen = {"midline": np.asarray(data["angle"]), "width": np.asarray(data["width"]), "sd": np.full(7, arcsec)}
     loop = Loop("loop.csv", Conditions(), TORQUE, **seen, clipped=False)
     made = problem.problem(asked, Measured("loop", (loop,)))
@@ -108,28 +110,29 @@ def test_a_measured_loop_is_that_of_its_unit(data):
         np.testing.assert_allclose(predicted[name], measured[name], atol=1e-12)
 
 
-def test_a_loop_tells_drag_from_clearance(data):
+def test_a_loop_tells_drag_from_clearance(given, data):
     prior = PRIOR | {"drag": nuisance("drag", ())}
     noise = identify.Noise({"angle": 0.2 * arcsec, "width": 0.4 * arcsec})
-    found = identify.solve(midline(("offset", "drag")), prior, data, noise=noise, nuisance=("offset", "drag"), starts=1)
+    model = midline(("offset", "drag"), given)
+    found = identify.solve(model, prior, data, noise=noise, nuisance=("offset", "drag"), starts=1)
     assert found.adequate
     assert found.value["drag"] == pytest.approx(DRAG, rel=0.02)
     assert found.value["bearing_clearance"] == pytest.approx(CLEARANCE, rel=0.02)
     assert found.value["stiffness"] == pytest.approx(STIFFNESS, rel=0.002)
 
 
-def test_a_curve_runs_under_load_and_drag(law):
+def test_a_curve_runs_under_load_and_drag(given):
     """The torque of a run is that of the bench plus drag, on either side; without drag it is today's."""
     ways = [(t, way, n) for t in (0.0, 500.0) for way in ("forward", "backward") for n in (100.0, 1000.0)]
     runs = [Conditions(torque=t, direction=way, speed=n * rpm) for t, way, n in ways]
-    made = bench.curve_model("loaded", READ, GIVEN, runs, (40,), ("offset", "drag", "viscous_drag"), ())
+    made = bench.curve_model("loaded", READ, given, runs, (40,), ("offset", "drag", "viscous_drag"), ())
     seen = seen_by(made, {"offset": 0.0, "drag": 15.0, "viscous_drag": 0.1})["mean"]
     sign = np.array([run.sign for run in runs])
     load = sign * [t + 15.0 + 0.1 * n * rpm for t, _, n in ways]
     some = np.array([0, 3, 4, 5, 6, 7])  # with those at standstill as many as above: one program
     due = [Conditions(torque=abs(t), direction="forward" if t > 0 else "backward") for t in load[some]]
     still = [Conditions(torque=0.0, direction=way) for way in ("forward", "backward")]
-    bare = bench.curve_model("loaded", READ, GIVEN, [*due, *still], (40,), ("offset",), ())
+    bare = bench.curve_model("loaded", READ, given, [*due, *still], (40,), ("offset",), ())
     plain = seen_by(bare, {"offset": 0.0})["mean"]
     np.testing.assert_allclose(seen[some], plain[:6], rtol=1e-9)
     windup = np.asarray((seen[2:4] - seen[:2]) / 2)

@@ -52,7 +52,8 @@ def law(request, monkeypatch):
     if request.param == "told":
         monkeypatch.setattr(observation, "_errors", lambda *_: told_error(_[-2][:, None], _[-1][None]))
         monkeypatch.setattr(head, "equilibrium", told)
-        monkeypatch.setattr(head, "_effects", jax.jit(head._effects.__wrapped__, static_argnums=(3, 4, 5)))
+        effects = head._effects.__wrapped__  # wrapped: no program of the formula is kept for others
+        monkeypatch.setattr(head, "_effects", jax.jit(lambda *given: effects(*given), static_argnums=(3, 4, 5)))
     return request.param
 
 
