@@ -13,7 +13,6 @@ import numpy as np
 from scipy import optimize
 
 from rvjax.tolerances import Nominal, ReciprocalPower, Requirement, Tolerance, Variable
-from rvjax.tolerances.requirements.factors import CUSHION
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(40)
 LEAST, MOST = 0.05, 3.0  # half-widths
@@ -72,11 +71,6 @@ class Problem:
             costs=dict(zip(self.fields, costs)),
             variables={name: Variable(0.5, 2.0, 1.2, cost=cost) for name, cost in zip(self.numbers, own)},
         ) | changes  # fmt: skip
-
-    def aimed(self, units: int) -> "Problem":
-        """The problem whose targets lie as far above as a certificate of so many units needs them."""
-        away = (1.96 + CUSHION) * np.sqrt(self.targets * (1 - self.targets) / units)
-        return dataclasses.replace(self, targets=self.targets + away)
 
     def exact(self) -> tuple[float, dict[str, float], np.ndarray]:
         """Least cost, {requirement: d cost / d limit}, and the vector (logarithms of half-widths, numbers)."""

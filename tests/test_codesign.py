@@ -11,7 +11,7 @@ from rvjax.tolerances import Memo, Middle, Nominal, ReciprocalPower, Requirement
 from rvjax.tolerances.codesign import units
 from rvjax.tolerances.codesign.tail_sample import smooth_quantile
 
-UNITS = 50_000  # of a certificate: their error of the 99.73 % quantile costs about 2 %
+UNITS = 200_000  # of a certificate: their error of the 99.73 % quantile costs about 1 %
 
 
 def solved(name, **changes):
@@ -25,7 +25,7 @@ def test_reference_problems(name):
     with contextlib.nullcontext() if name == "bound-0" else one_start():
         found, expected = solved(name), CASES[name]["expected"]
     assert found.status == "OPTIMAL"
-    assert 0.999 * expected["cost"] < found.cost < 1.03 * expected["cost"]
+    assert 0.999 * expected["cost"] < found.cost < 1.02 * expected["cost"]
     assert found.bounds_active == expected["bounds_active"]
     for value, (least, most) in expected["ranges"].items():
         assert least * (1 - 1e-6) <= found.values[value] <= most * (1 + 1e-6)
@@ -43,7 +43,7 @@ def test_reference_problems(name):
 def test_a_list_takes_the_cheapest_of_its_values():
     found, expected = solved("listed-0"), CASES["listed-0"]["expected"]
     assert found.values == expected["values"]
-    assert found.cost < 1.03 * expected["cost"] and found.learned < expected["nearest"]
+    assert found.cost < 1.02 * expected["cost"] and found.learned < expected["nearest"]
 
 
 @one_start()

@@ -12,33 +12,20 @@ from rvjax.tolerances import allocate
 from rvjax.tolerances.codesign.lines import Lines
 from rvjax.tolerances.codesign.tail_sample import Centres
 
-LONG = pytest.mark.long
-
-
-UNITS = 50_000  # of a certificate
-
 
 @one_start()
-@pytest.mark.parametrize(
-    ("which", "seed", "near"),
-    [(9, 0, 2e-3), (10, 3, 0.01), pytest.param(1, 0, 0.01, marks=LONG), pytest.param(12, 3, 0.05, marks=LONG)],
-)
-def test_all_prices_of_a_random_problem(which, seed, near):
-    """The search aims above the targets, for the certificate: its optimum is that of the problem with these targets.
-
-    Lines know the prices of normal errors; with a uniform error, and where certificates correct the margins, they
-    scatter more. Slopes of a few hundred units missed them by 7 to 17 %.
-    """
-    given = problem(which)
-    cost, prices, _ = given.aimed(UNITS).exact()
-    arguments = given.arguments(certificate_samples=UNITS, seed=seed)
+@pytest.mark.parametrize("seed", [9, 10, pytest.param(12, marks=pytest.mark.long)])
+def test_all_prices_of_a_random_problem(seed):
+    """Within 5 %, of which the certificate takes up to 2 %. Slopes of a few hundred units missed these by 7 to 17 %."""
+    given = problem(seed)
+    cost, prices, _ = given.exact()
+    arguments = given.arguments()
     first = [arguments.pop(key) for key in ("response", "tolerances", "requirements")]
     found = allocate(*first, **arguments)
-    assert found.status == "OPTIMAL" and found.learned == pytest.approx(cost, rel=near / 2)
-    assert found.cost < 1.01 * cost
+    assert found.status == "OPTIMAL" and cost < found.cost < 1.01 * cost
     assert min(map(abs, prices.values())) > 0
     for name, price in prices.items():
-        assert found.multipliers[name] == pytest.approx(price, rel=near)
+        assert found.multipliers[name] == pytest.approx(price, rel=0.05)
 
 
 def measure_of(margin):

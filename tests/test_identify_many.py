@@ -115,9 +115,9 @@ def test_population_finds_the_process():
 
 
 def test_virtual_units_are_covered():
-    """60 units: coverage within four binomial deviations, ranks and p-values uniform; the bars of the kept 1000."""
-    found = identify_coverage.figures(60, seed=11)
-    assert found["coverage"] == pytest.approx(0.95, abs=4 * math.sqrt(0.05 * 0.95 / 60))
+    """150 units: coverage within four binomial deviations, ranks and p-values uniform; the bars of the kept 1000."""
+    found = identify_coverage.figures(150, seed=11)
+    assert found["coverage"] == pytest.approx(0.95, abs=4 * math.sqrt(0.05 * 0.95 / 150))
     kept = json.loads(identify_coverage.KEPT.read_text())
     assert kept["units"] == 1000 and 0.93 < kept["coverage"] < 0.97
     for name in kept:
@@ -125,7 +125,7 @@ def test_virtual_units_are_covered():
             assert 0.92 < kept[name] < 0.98, name
         if name.startswith("uniform"):
             assert min(kept[name], found[name]) > 1e-4, name
-    for figures, least in ((kept, 0.97), (found, 0.97 - 4 * math.sqrt(0.03 * 0.97 / 60))):
+    for figures, least in ((kept, 0.97), (found, 0.97 - 4 * math.sqrt(0.03 * 0.97 / 150))):
         assert figures["wrong reducer: p_model < 0.001"] >= least
         assert figures["tripled spread: p_prior < 0.001"] >= least
         assert figures["tripled spread: p_model < 0.001"] < 0.03

@@ -112,13 +112,13 @@ def test_a_bound_holds_one_field():
 
 
 def test_infeasible_says_by_how_much():
-    """The 90 % quantile of |y| of 70,000 units, too many to keep, errs by 0.34 %."""
+    """The 90 % quantile of |y| of 200,000 units, too many to keep, errs by 0.2 %."""
     required = Requirement(lower=0.0, upper=0.0, target=0.9)
-    found = allocate(linear, PAIR, required, **(CERTIFIED | {"certificate_samples": 70_000}))
+    found = allocate(linear, PAIR, required, **(CERTIFIED | {"certificate_samples": 200_000}))
     assert (found.feasible, found.status) == (False, "INFEASIBLE")
     assert found.half_widths == {"a": 1 * um, "b": 1 * um}
     sd = math.sqrt(5) / 3 * um
-    assert found.shortfall == pytest.approx(stats.norm.ppf(0.95) * sd, rel=0.014)
+    assert found.shortfall == pytest.approx(stats.norm.ppf(0.95) * sd, rel=0.01)
     assert found.certificate.yield_.value == 0.0
     assert found.certificate.values is None
     assert found.multipliers == 0.0

@@ -98,7 +98,7 @@ def capable(found, target):
     assert 0 < (reached / target - 1) * math.sqrt(2 * UNITS) < 5
     # Lagrange: 1/t_j^2 = lambda a_j^2 t_j, so t_a = 4^(1/3) t_b.
     exact_b = LIMIT / reached / math.sqrt(4 ** (2 / 3) + 4)
-    assert a / b == pytest.approx(4 ** (1 / 3), rel=0.03)  # slopes of 4096 units
+    assert a / b == pytest.approx(4 ** (1 / 3), rel=0.02)
     return 10 * um * (1 / (4 ** (1 / 3) * exact_b) + 1 / exact_b)
 
 
@@ -123,7 +123,7 @@ def test_cheapest_half_widths_for_a_mean():
     exact_b = mean / (0.3 * math.sqrt(4 / 3) + 0.4)
     exact = 10 * um * (1 / (exact_b * math.sqrt(4 / 3)) + 1 / exact_b)
     assert found.status == "OPTIMAL" and found.certificate.verdicts.estimate.upper <= 5 * um
-    assert a / b == pytest.approx(math.sqrt(4 / 3), rel=0.03)
+    assert a / b == pytest.approx(math.sqrt(4 / 3), rel=0.02)
     assert exact <= found.cost < 1.001 * exact
     assert found.multipliers == pytest.approx(-found.learned / (5 * um), rel=0.02)
 
