@@ -17,7 +17,9 @@ from hypothesis import given, strategies as st
 
 from rvjax import cli
 from rvjax._ground.lines import refilled, wrapped
-from rvjax.render import Note, Report, Table, Text, aligned
+from rvjax.commands.allocate.report import _Slope
+from rvjax.render import Interval, Note, Report, Table, Text, aligned
+from rvjax.render.page import typeset
 
 WORDS = st.text("abc,.", min_size=1, max_size=14)
 
@@ -133,3 +135,18 @@ def test_commands_fit_the_terminal(monkeypatch, arguments, columns):
     code, said = Terminal(monkeypatch, columns).run(*arguments.split())
     assert code == 0 and said
     assert [line for line in said.split("\n") if len(line) > columns] == []
+
+
+def test_a_slope_stays_next_to_its_share_at_eighty_columns():
+    """The longest row of a loaded result is 82 characters wide; the root mean square goes to a second line."""
+    shares = Interval("share [interval]")
+    columns = [Text("error"), _Slope("d loaded_transmission_error / d error"), shares]
+    rows = [["equidistant_modification", "no slope [rms 0.0325 arcmin/arcmin]", "33.0 % [25.4, 45.1]"]]
+    lines = Table("influence", columns, rows).text(80).split("\n")
+    assert max(map(len, Table("influence", columns, rows).text().split("\n"))) > 80 >= max(map(len, lines))
+    assert "33.0 %" in lines[-2] and lines[-1].split() == ["0.0325", "arcmin/arcmin]"]
+
+
+def test_the_page_breaks_the_words_of_a_drawing_from_their_number():
+    assert typeset("position diametral 6.2 um") == '<span class="whole">position diametral<br>6.2 µm</span>'
+    assert typeset("8.00 +-4.00 um") == '<span class="whole">8.00 ±4.00 µm</span>'

@@ -79,6 +79,10 @@ MUTED = ("no slope",)
 ZERO = Markup('<span class="none">0</span>')
 
 
+DRAWN = re.compile(r"^([a-z]+(?: [a-z]+)*) (\d\S* \S+)$")
+"""Words of a drawing and its number, such as "position diametral 6.2 um"."""
+
+
 def typeset(cell: object) -> Markup:
     """A text of a cell for the page: numbers stay with their units, an interval is on a separate line."""
     if isinstance(cell, Markup):
@@ -94,7 +98,7 @@ def typeset(cell: object) -> Markup:
     if text == "assumed":
         return Markup("<strong>assumed</strong>")
     said = micro(escape(text.replace("+-", "±").replace("<=", "≤").replace(">=", "≥")))
-    said = Markup(str(said).replace(" and ", "<br>"))
+    said = Markup(DRAWN.sub(r"\1<br>\2", str(said).replace(" and ", "<br>")))
     if said in ("", "-"):
         return said
     return Markup('<span class="whole">{}</span>{}').format(said, more)

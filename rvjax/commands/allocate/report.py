@@ -182,7 +182,7 @@ def influence_tables(answer: Answer) -> list[Table]:
     study, found = answer.study, answer.after.influence
     columns: list[Column] = [Text("error")]
     for name in study.requirements:
-        columns += [Text(f"d {name} / d error"), Interval("share [interval]")]
+        columns += [_Slope(f"d {name} / d error"), Interval("share [interval]")]
     wide, long = [], []
     for field in study.fields:
         error_unit, error_size = readable(study.unit(field))
@@ -203,6 +203,16 @@ def influence_tables(answer: Answer) -> list[Table]:
         Table("influence", [Column(title) for title in (*titles, *ends)], long, on=IN_FILE),
         Table("influence", columns, wide, note=note, on=NOT_IN_FILE),
     ]
+
+
+@dataclass(frozen=True)
+class _Slope(Text):
+    """Mean slopes, or "no slope" with the root mean square of single units."""
+
+    @property
+    def narrow(self) -> int:
+        """The root mean square may be on the next line."""
+        return 20
 
 
 @dataclass(frozen=True)
