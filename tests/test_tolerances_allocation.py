@@ -307,6 +307,9 @@ def test_certified_grades_are_the_result_where_free_half_widths_are_not_certifie
     assert found.status == "OPTIMAL" and found.cost == found.graded.cost > bare.cost
     assert found.half_widths == found.graded.half_widths and found.certificate.yield_.lower >= 0.9973
     assert found.grades is None and found.learned == bare.learned
+    find = Search.find
+    monkeypatch.setattr(Search, "find", lambda *given: (find(*given)[0], False))  # its steps have run out
+    assert allocate(linear, sized, requirement, grades=True, **CERTIFIED).status == "MAX_STEPS"
 
 
 @pytest.mark.parametrize(

@@ -187,7 +187,7 @@ def allocated(
     status = "OPTIMAL" if certifier.holds(certificate) else "NOT_CERTIFIED"
     snapped = dataclasses.replace(found, status=status, half_widths=t, certificate=certificate)
     if status == "OPTIMAL" and not certifier.holds(found.certificate):  # grades near it are certified: they are the set
-        found = dataclasses.replace(snapped, status=_status(search, found.learned, t))
+        found = dataclasses.replace(snapped, status=_status(search, found.learned, t, found.settled))
         result = _result(search, found, *given)
     graded = dataclasses.replace(_result(search, snapped, *given), grades=chosen)
     return unwrapped(dataclasses.replace(result, graded=graded)), solved
@@ -213,7 +213,11 @@ def _check(required: dict[str, Limits], joint_target: float | None, **counts: in
 
 @dataclasses.dataclass(frozen=True)
 class _Found:
-    """Result of a search: `prices` and `shortfall` by requirement; `learned`: cost before certification."""
+    """Result of a search.
+
+    `prices` and `shortfall` by requirement; `learned`: cost before certification; `settled`: no limit of steps ended
+    the search.
+    """
 
     status: str
     learned: float
@@ -222,6 +226,7 @@ class _Found:
     prices: np.ndarray
     shortfall: dict[str, float]
     residual: float = math.nan
+    settled: bool = True
 
 
 def _cheapest(search: Search, certifier: Certifier, point: Point, start: np.ndarray) -> _Found:
@@ -239,10 +244,10 @@ def _cheapest(search: Search, certifier: Certifier, point: Point, start: np.ndar
     status = _status(search, learned, half_widths, settled)
     if not certifier.holds(certificate):
         status = "NOT_CERTIFIED"
-    return _Found(status, learned, half_widths, certificate, prices, nothing, search.residual(point))
+    return _Found(status, learned, half_widths, certificate, prices, nothing, search.residual(point), settled)
 
 
-def _status(search: Search, learned: float, half_widths: np.ndarray, settled: bool = True) -> str:
+def _status(search: Search, learned: float, half_widths: np.ndarray, settled: bool) -> str:
     """Status of certified half-widths, by their cost over the learned one and the end of the search."""
     if search.cost(half_widths) > (1 + DEARER) * learned:
         return "SUBOPTIMAL"
