@@ -4,7 +4,7 @@ import pytest
 
 from rvjax import levels, study
 from rvjax.commands.allocate import answer, expected, phases_of
-from rvjax.commands.allocate.forecast import CERTIFYING, PRICING, SAMPLING, SEARCHING
+from rvjax.commands.allocate.forecast import CERTIFYING, PRICING, SAMPLING, SEARCHING, solved_units
 from rvjax.commands.forecast import unit_seconds
 from rvjax.levels.equilibria import measured
 
@@ -80,4 +80,6 @@ certificate_samples = 4096
     assert begun == [SEARCHING, CERTIFYING, SAMPLING, PRICING]
     assert list(phases_of(small, "before", "after")) == ["before", *begun, "after"]
     loaded = phases_of(study.load("rv-40e-whole", solve=False), "before", "after")
+    whole = study.load("rv-40e-whole", solve=False)
+    assert solved_units(whole)[SAMPLING] == 128 * 21  # each of 20 errors of 128 units is sampled again
     assert list(loaded) == ["before", *begun, "after"] and loaded[SEARCHING] > 20 + loaded[PRICING] / 10

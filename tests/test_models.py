@@ -19,7 +19,7 @@ from rvjax.catalogue import CORR, RV_20E, RV_40E, RV_320E
 from rvjax.designs import RVReducer
 from rvjax.dynamics import assemble
 from rvjax.errors import RVErrors
-from rvjax.outputs import Output, Reading, condition
+from rvjax.outputs import Output, Reading, condition, torque_condition, torque_of
 from rvjax.study.response import Response
 from rvjax.units import arcsec, rpm, um
 
@@ -208,6 +208,16 @@ upper = "5 arcsec"
 [requirement.resonance_margin]
 lower = 0.02
 """
+
+
+def test_the_torque_of_conditions_is_found_or_zero():
+    @dataclasses.dataclass
+    class Still:
+        speed: float = condition(1.0, "of the shaft", unit="rad/s")
+
+    loaded = models.kind(RV_40E).conditions(output_torque=412.0)
+    assert (torque_condition(loaded), torque_of(loaded)) == ("output_torque", 412.0)
+    assert (torque_condition(Still()), torque_of(Still())) == ("", 0.0)
 
 
 def test_dynamics_is_an_output_of_studies():

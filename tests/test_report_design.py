@@ -49,6 +49,8 @@ def test_a_derived_number_names_the_numbers_of_this_study():
     assert found["involute.centre_distance"] == "derived: 1.5 mm (14 + 42)/2"
     assert found["involute.planet_base_radius"] == "derived: 1.5 mm * 42/2 * cos 20 deg"
     assert found["cranks.circle_radius"] == "derived: the centre distance"
+    off = asked('[design]\nbase = "rv-320e"\ninvolute.module = "1.5 mm"').numbers  # whose cranks are 0.5 mm further out
+    assert next(number.origin for number in off if number.path == "cranks.circle_radius").startswith("rv-320e: Table 1")
     base = {number.path: number.origin for number in asked('[design]\nbase = "rv-80e"').numbers}
     assert base["involute.centre_distance"] == "rv-80e: derived: 1.75 mm (10 + 38) / 2"
 
