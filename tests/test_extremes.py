@@ -71,8 +71,7 @@ def test_any_number_of_angles_and_any_batch_axis(angles):
     bore[0, 1, 2] = np.nan
 
     def figures(bore):
-        errors = RVErrors(carrier_bore=bore)
-        found = four_bar.revolution(catalogue.RV_40E, errors, angles=angles, closure="first_order")
+        found = four_bar.revolution(catalogue.RV_40E, RVErrors(carrier_bore=bore), angles=angles)
         return found.maximum, found.peak_to_peak, found.info.status, found.error
 
     last = jax.jit(jax.vmap(figures, in_axes=-1))(bore)
