@@ -23,8 +23,8 @@ from rvjax.population.population import Population  # noqa: E402
 from rvjax.response.response import PLAIN  # noqa: E402
 from rvjax.study import load  # noqa: E402  (after the flags)
 from rvjax.tolerances import ReciprocalPower, Requirement, Tolerance, allocate  # noqa: E402
-from rvjax.tolerances.allocation.sample_average import Training  # noqa: E402
-from rvjax.tolerances.allocation.search import Search  # noqa: E402
+from rvjax.tolerances.optimum.sample_average import Training  # noqa: E402
+from rvjax.tolerances.optimum.search import Search  # noqa: E402
 from rvjax.units import um  # noqa: E402
 
 GRADIENT, VIOLATION, NEAR = 3, 2e-3, 1.01

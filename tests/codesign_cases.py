@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from oracles.responses import Lever
 from rvjax.tolerances import CpkAtLeast, Middle, Nominal, ReciprocalPower, Requirement, Tolerance, Variable, allocate
-from rvjax.tolerances.codesign import design
+from rvjax.tolerances.optimum import design
 
 CASES = {
     case["id"]: case

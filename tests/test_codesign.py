@@ -8,8 +8,8 @@ from codesign_cases import CASES, LENGTH, NEED, OPTIONS, PARTS, arguments, lever
 
 from oracles.responses import Lever, Linear
 from rvjax.tolerances import Memo, Middle, Nominal, ReciprocalPower, Requirement, Tolerance, Variable, allocate
-from rvjax.tolerances.codesign import units
-from rvjax.tolerances.codesign.tail_sample import smooth_quantile
+from rvjax.tolerances.optimum import units
+from rvjax.tolerances.optimum.tail_sample import smooth_quantile
 
 UNITS = 200_000  # of a certificate: their error of the 99.73 % quantile costs about 1 %
 

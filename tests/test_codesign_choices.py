@@ -25,9 +25,9 @@ from rvjax.tolerances import (
     allocate,
     it_width,
 )
-from rvjax.tolerances.codesign.decisions import Decisions
-from rvjax.tolerances.codesign.lists import Lists
-from rvjax.tolerances.codesign.units import Units
+from rvjax.tolerances.optimum.decisions import Decisions
+from rvjax.tolerances.optimum.lists import Lists
+from rvjax.tolerances.optimum.units import Units
 from rvjax.units import mm, um
 
 TARGET, UNITS = 0.999, 50_000

@@ -11,12 +11,12 @@ from scipy import integrate, stats
 from rvjax.population import Population
 from rvjax.records import Record, field, record, text
 from rvjax.tolerances import Nominal, ReciprocalPower, Requirement, Tolerance, Variable, allocate
-from rvjax.tolerances.allocation.certificate import Certifier
-from rvjax.tolerances.codesign import steps
-from rvjax.tolerances.codesign.anchor import Anchor
-from rvjax.tolerances.codesign.decisions import Decisions
-from rvjax.tolerances.codesign.local import Local
-from rvjax.tolerances.codesign.margins import Margins
+from rvjax.tolerances.optimum import steps
+from rvjax.tolerances.optimum.anchor import Anchor
+from rvjax.tolerances.optimum.certificate import Certifier
+from rvjax.tolerances.optimum.decisions import Decisions
+from rvjax.tolerances.optimum.local import Local
+from rvjax.tolerances.optimum.margins import Margins
 
 PARTS = {"a": Tolerance.symmetric(0.1), "b": Tolerance.symmetric(0.1), "c": Tolerance.symmetric(0.02)}
 COSTS = dict.fromkeys("ab", ReciprocalPower(reference=1.0, finest=0.05, coarsest=5.0))

@@ -11,11 +11,11 @@ from scipy import stats
 from oracles.responses import Linear
 from rvjax.population import Population
 from rvjax.tolerances import ReciprocalPower, Requirement, Tolerance, allocate
-from rvjax.tolerances.codesign.correction import WORTH, Correction
-from rvjax.tolerances.codesign.decisions import Decisions
-from rvjax.tolerances.codesign.design import Designer
-from rvjax.tolerances.codesign.margins import Margins
-from rvjax.tolerances.codesign.variable import Middle
+from rvjax.tolerances.optimum.correction import WORTH, Correction
+from rvjax.tolerances.optimum.decisions import Decisions
+from rvjax.tolerances.optimum.design import Designer
+from rvjax.tolerances.optimum.margins import Margins
+from rvjax.tolerances.optimum.variable import Middle
 
 PARTS = {name: Tolerance.symmetric(0.3) for name in "abc"}
 COSTS = dict.fromkeys("abc", ReciprocalPower(reference=1.0, finest=0.05, coarsest=5.0))

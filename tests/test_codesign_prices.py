@@ -9,8 +9,8 @@ from codesign_random import problem
 from scipy import stats
 
 from rvjax.tolerances import allocate
-from rvjax.tolerances.codesign.lines import Lines
-from rvjax.tolerances.codesign.tail_sample import Centres
+from rvjax.tolerances.optimum.lines import Lines
+from rvjax.tolerances.optimum.tail_sample import Centres
 
 
 @one_start()

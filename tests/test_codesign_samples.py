@@ -5,8 +5,8 @@ import pytest
 from scipy import stats
 
 from rvjax.tolerances import MeanWithin
-from rvjax.tolerances.codesign.sides import sides
-from rvjax.tolerances.codesign.tail_sample import Centres, TailSample, centres_of, kernel, smooth_quantile
+from rvjax.tolerances.optimum.sides import sides
+from rvjax.tolerances.optimum.tail_sample import Centres, TailSample, centres_of, kernel, smooth_quantile
 
 TWO = [Centres(np.array([[3.0, 0.0]]), np.array([1.0])), Centres(np.array([[0.0, -2.5]]), np.array([1.0]))]
 

@@ -14,7 +14,7 @@ from rvjax import cli, study
 from rvjax.commands.allocate import kept
 from rvjax.commands.design.compute import geometry_first
 from rvjax.tolerances import Memo, Nominal, Variable, allocate
-from rvjax.tolerances.codesign import units
+from rvjax.tolerances.optimum import units
 from rvjax.units import mm, um
 
 CASE = next(

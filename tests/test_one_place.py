@@ -24,7 +24,7 @@ from rvjax.outputs import Observation
 from rvjax.records import IN_ERROR_UNIT, Scalar, field, record
 from rvjax.study import measured
 from rvjax.tolerances import sample
-from rvjax.tolerances.allocation import cost
+from rvjax.tolerances.optimum import cost
 from rvjax.units import arcsec, um
 
 JOINT = """

@@ -38,10 +38,10 @@ from rvjax.tolerances import (
     allocate,
     it_width,
 )
-from rvjax.tolerances.allocation import certificate
-from rvjax.tolerances.allocation.certificate import Certifier
-from rvjax.tolerances.allocation.search import Search
 from rvjax.tolerances.batch.monte_carlo import Run
+from rvjax.tolerances.optimum import certificate
+from rvjax.tolerances.optimum.certificate import Certifier
+from rvjax.tolerances.optimum.search import Search
 from rvjax.units import mm, um
 
 UNITS = 20_000  # of a certificate

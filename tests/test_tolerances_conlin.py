@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from rvjax.tolerances import ReciprocalPower
-from rvjax.tolerances.allocation import conlin
-from rvjax.tolerances.allocation.sample_average import Point
+from rvjax.tolerances.optimum import conlin
+from rvjax.tolerances.optimum.sample_average import Point
 from rvjax.units import um
 
 

@@ -30,9 +30,9 @@ from rvjax.tolerances import (
     rss,
     worst_case,
 )
-from rvjax.tolerances.allocation import conlin
-from rvjax.tolerances.allocation.sample_average import Training
-from rvjax.tolerances.allocation.search import Search
+from rvjax.tolerances.optimum import conlin
+from rvjax.tolerances.optimum.sample_average import Training
+from rvjax.tolerances.optimum.search import Search
 from rvjax.units import mm, um
 
 

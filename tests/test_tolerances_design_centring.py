@@ -13,7 +13,7 @@ from scipy import optimize, stats
 from oracles.linear_pair import above
 from oracles.responses import Linear
 from rvjax.tolerances import Middle, ReciprocalPower, Requirement, Tolerance, allocate
-from rvjax.tolerances.allocation.search import Search
+from rvjax.tolerances.optimum.search import Search
 
 TARGET, LOWER, UPPER = 0.9973, -1.0, 2.0
 COST = ReciprocalPower(reference=1.0, finest=0.05, coarsest=20.0)

@@ -15,9 +15,9 @@ from rvjax.response import Part, elements, gradients, status_without_errors
 from rvjax.roots import solved
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, ReciprocalPower, Requirement, Tolerance, allocate
-from rvjax.tolerances.allocation.followed import Followed
-from rvjax.tolerances.allocation.sample_average import Training
 from rvjax.tolerances.batch.memo import Memo
+from rvjax.tolerances.optimum.followed import Followed
+from rvjax.tolerances.optimum.sample_average import Training
 
 UNITS = 4096
 WAVES = {

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rvjax.tolerances.allocation.shrinkage import total_of_many
+from rvjax.tolerances.optimum.shrinkage import total_of_many
 
 FIELDS, UNITS, DRAWS = 200, 400, 30
 

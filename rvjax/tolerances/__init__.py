@@ -17,15 +17,11 @@ from rvjax.tolerances.allocating import (
     allocated as allocated,
     block as block,
 )
-from rvjax.tolerances.allocation.cost import COSTS as COSTS, Cost as Cost, Exponential, ReciprocalPower, Table
-from rvjax.tolerances.allocation.result import Allocation
 from rvjax.tolerances.batch.memo import Memo as Memo
 from rvjax.tolerances.batch.monte_carlo import monte_carlo
 from rvjax.tolerances.batch.run import Run as Run
 from rvjax.tolerances.batch.statistics import Statistics
 from rvjax.tolerances.batch.unit_file import ENDINGS as ENDINGS, UnitFile, joined as joined
-from rvjax.tolerances.codesign.nominal import Nominal
-from rvjax.tolerances.codesign.variable import Middle, Variable, check_middles as check_middles
 from rvjax.tolerances.cost_curve import (
     CostCurve,
     cost_curve,
@@ -39,6 +35,10 @@ from rvjax.tolerances.influence import (
     influences as influences,
 )
 from rvjax.tolerances.moments import Moments, rss
+from rvjax.tolerances.optimum.cost import COSTS as COSTS, Cost as Cost, Exponential, ReciprocalPower, Table
+from rvjax.tolerances.optimum.nominal import Nominal
+from rvjax.tolerances.optimum.result import Allocation
+from rvjax.tolerances.optimum.variable import Middle, Variable, check_middles as check_middles
 from rvjax.tolerances.requirements.kinds import (
     KINDS as KINDS,
     CpkAtLeast,

@@ -14,18 +14,18 @@ from rvjax._jax.arguments import checked
 from rvjax.population import Correlation, Population, Tolerance
 from rvjax.records import Record
 from rvjax.response import BLOCK, DesignResponse, Response, by_response, response_names, unwrapped
-from rvjax.tolerances.allocation.certificate import DRAWS, Certifier
-from rvjax.tolerances.allocation.cost import COSTS, Cost
-from rvjax.tolerances.allocation.result import Allocation
-from rvjax.tolerances.allocation.rounding import Rounding
-from rvjax.tolerances.allocation.sample_average import Point, Training
-from rvjax.tolerances.allocation.search import Search
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.batch.monte_carlo import Run, Statistics
-from rvjax.tolerances.codesign.nominal import Nominal
-from rvjax.tolerances.codesign.problem import Problem
-from rvjax.tolerances.codesign.result import designed
-from rvjax.tolerances.codesign.variable import Middle, Variable, check_middles, with_values
+from rvjax.tolerances.optimum.certificate import DRAWS, Certifier
+from rvjax.tolerances.optimum.cost import COSTS, Cost
+from rvjax.tolerances.optimum.figures import designed
+from rvjax.tolerances.optimum.nominal import Nominal
+from rvjax.tolerances.optimum.problem import Problem
+from rvjax.tolerances.optimum.result import Allocation
+from rvjax.tolerances.optimum.rounding import Rounding
+from rvjax.tolerances.optimum.sample_average import Point, Training
+from rvjax.tolerances.optimum.search import Search
+from rvjax.tolerances.optimum.variable import Middle, Variable, check_middles, with_values
 from rvjax.tolerances.requirements.kinds import Limits
 
 FEWEST = 100  # units a quantile can be learned from

@@ -12,12 +12,12 @@ from rvjax._jax.arguments import checked
 from rvjax.population import Population
 from rvjax.response import Response
 from rvjax.tolerances.allocating import Solved, allocate, block
-from rvjax.tolerances.allocation.cost import Cost
-from rvjax.tolerances.allocation.result import Allocation
-from rvjax.tolerances.allocation.sample_average import Training
-from rvjax.tolerances.allocation.search import NOISE, Search
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.batch.monte_carlo import Run, Statistics
+from rvjax.tolerances.optimum.cost import Cost
+from rvjax.tolerances.optimum.result import Allocation
+from rvjax.tolerances.optimum.sample_average import Training
+from rvjax.tolerances.optimum.search import NOISE, Search
 from rvjax.tolerances.requirements.limits import Limits
 
 _DRAWN_TO = 0.01  # part of a cost, or of the way to a limit, to which a point of costly units is searched

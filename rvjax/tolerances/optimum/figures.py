@@ -9,9 +9,9 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from rvjax.tolerances.codesign.design import Designer, Found
-from rvjax.tolerances.codesign.margins import JOINT
-from rvjax.tolerances.codesign.problem import Problem
+from rvjax.tolerances.optimum.design import Designer, Found
+from rvjax.tolerances.optimum.margins import JOINT
+from rvjax.tolerances.optimum.problem import Problem
 
 _AT = 1e-6  # part of its range, nearer than which a number is at its bound
 

@@ -16,16 +16,16 @@ from rvjax._jax.blocks import PULLED
 from rvjax.population import Population, SobolPoints
 from rvjax.response import Response, response_names
 from rvjax.tolerances.batch.memo import Memo
-from rvjax.tolerances.codesign.anchor import Anchor, AnchoredUnits
-from rvjax.tolerances.codesign.decisions import Decisions
-from rvjax.tolerances.codesign.limit_lines import LimitLines
-from rvjax.tolerances.codesign.local import Local
-from rvjax.tolerances.codesign.nominal import Nominal, NominalOutputs
-from rvjax.tolerances.codesign.share import Share, joint_share, share_of
-from rvjax.tolerances.codesign.sides import sides, size
-from rvjax.tolerances.codesign.tail_sample import Centres, TailSample, centres_of, kernel, smooth_quantile
-from rvjax.tolerances.codesign.units import Weights
-from rvjax.tolerances.codesign.worst_case_margin import worst_case
+from rvjax.tolerances.optimum.anchor import Anchor, AnchoredUnits
+from rvjax.tolerances.optimum.decisions import Decisions
+from rvjax.tolerances.optimum.limit_lines import LimitLines
+from rvjax.tolerances.optimum.local import Local
+from rvjax.tolerances.optimum.nominal import Nominal, NominalOutputs
+from rvjax.tolerances.optimum.share import Share, joint_share, share_of
+from rvjax.tolerances.optimum.sides import sides, size
+from rvjax.tolerances.optimum.tail_sample import Centres, TailSample, centres_of, kernel, smooth_quantile
+from rvjax.tolerances.optimum.units import Weights
+from rvjax.tolerances.optimum.worst_case_margin import worst_case
 from rvjax.tolerances.requirements.kinds import Requirement
 from rvjax.tolerances.requirements.limits import Limits
 from rvjax.tolerances.worst_case import extremes

@@ -8,12 +8,12 @@ import numpy as np
 
 from rvjax.population import Population, deviate_of
 from rvjax.response import Response, is_costly
-from rvjax.tolerances.allocation.cost import Cost
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.batch.monte_carlo import Run
-from rvjax.tolerances.codesign.decisions import Decisions
-from rvjax.tolerances.codesign.margins import Margins
-from rvjax.tolerances.codesign.variable import Middle, Variable
+from rvjax.tolerances.optimum.cost import Cost
+from rvjax.tolerances.optimum.decisions import Decisions
+from rvjax.tolerances.optimum.margins import Margins
+from rvjax.tolerances.optimum.variable import Middle, Variable
 from rvjax.tolerances.requirements.factors import CUSHION
 from rvjax.tolerances.requirements.kinds import Requirement
 from rvjax.tolerances.requirements.limits import Limits

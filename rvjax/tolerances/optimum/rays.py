@@ -10,7 +10,7 @@ import copy
 
 import numpy as np
 
-from rvjax.tolerances.allocation.sample_average import Point, Training
+from rvjax.tolerances.optimum.sample_average import Point, Training
 
 IDLE = 0.5
 """With a larger margin than this, logarithm of a factor, a constraint does not bind."""

@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from rvjax.tolerances.codesign.decisions import Decisions
-from rvjax.tolerances.codesign.programme import End
+from rvjax.tolerances.optimum.decisions import Decisions
+from rvjax.tolerances.optimum.programme import End
 
 _ALL = 27  # combinations that are all tried
 _ROUNDED = 32  # combinations of neighbours, at most

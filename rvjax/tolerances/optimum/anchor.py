@@ -13,7 +13,7 @@ import numpy as np
 from rvjax._jax.blocks import PULLED
 from rvjax.population import Population
 from rvjax.response import elements
-from rvjax.tolerances.codesign.units import Units
+from rvjax.tolerances.optimum.units import Units
 
 SOLVED = 512
 """Units of each part of the response that are solved at a new anchor: those that are nearest to their limits."""

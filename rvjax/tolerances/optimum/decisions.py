@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.population import Population, Tolerance
-from rvjax.tolerances.allocation.conlin import total_cost
-from rvjax.tolerances.allocation.cost import Cost
-from rvjax.tolerances.codesign.variable import Middle, Variable
+from rvjax.tolerances.optimum.conlin import total_cost
+from rvjax.tolerances.optimum.cost import Cost
+from rvjax.tolerances.optimum.variable import Middle, Variable
 
 _STEP = 1e-4  # of differences of a cost, logarithm of a half-width or part of a range
 _SAME = 1e-9  # part of a range that is rounding

@@ -23,7 +23,7 @@ from rvjax.response import (
 from rvjax.status import succeeded
 from rvjax.tolerances.batch.checkpoint import describe
 from rvjax.tolerances.batch.memo import Memo
-from rvjax.tolerances.codesign.decisions import Decisions
+from rvjax.tolerances.optimum.decisions import Decisions
 
 Weights = dict[str, np.ndarray]  # of units, by name of the response
 

@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.population import GRADES, it_width
-from rvjax.tolerances.allocation.certificate import Certifier
-from rvjax.tolerances.allocation.conlin import cheapest, predicted
-from rvjax.tolerances.allocation.cost import Cost
-from rvjax.tolerances.allocation.sample_average import Point
-from rvjax.tolerances.allocation.search import BEYOND, RADIUS, Search
 from rvjax.tolerances.batch.monte_carlo import Statistics
+from rvjax.tolerances.optimum.certificate import Certifier
+from rvjax.tolerances.optimum.conlin import cheapest, predicted
+from rvjax.tolerances.optimum.cost import Cost
+from rvjax.tolerances.optimum.sample_average import Point
+from rvjax.tolerances.optimum.search import BEYOND, RADIUS, Search
 from rvjax.tolerances.requirements.factors import CUSHION
 
 _DRAWS = 2  # certificates of one set of grades, whose free fields shrink between them

@@ -9,11 +9,11 @@ import numpy as np
 
 from rvjax.population import Population, deviate_of, wilson
 from rvjax.response import PLAIN
-from rvjax.tolerances.allocation.followed import WRONG, Followed
-from rvjax.tolerances.allocation.sample_average import Point
-from rvjax.tolerances.allocation.search import Search
 from rvjax.tolerances.batch.monte_carlo import Run, Statistics
 from rvjax.tolerances.failure.failure import failure_probability
+from rvjax.tolerances.optimum.followed import WRONG, Followed
+from rvjax.tolerances.optimum.sample_average import Point
+from rvjax.tolerances.optimum.search import Search
 from rvjax.tolerances.requirements.factors import CUSHION, share_factor
 from rvjax.tolerances.requirements.limits import Verdict
 

@@ -4,10 +4,10 @@ import dataclasses
 
 import numpy as np
 
-from rvjax.tolerances.codesign.decisions import Decisions
-from rvjax.tolerances.codesign.local import Local
-from rvjax.tolerances.codesign.margins import Margins
-from rvjax.tolerances.codesign.programme import End, Programme
+from rvjax.tolerances.optimum.decisions import Decisions
+from rvjax.tolerances.optimum.local import Local
+from rvjax.tolerances.optimum.margins import Margins
+from rvjax.tolerances.optimum.programme import End, Programme
 
 
 @dataclasses.dataclass(frozen=True)

@@ -5,10 +5,10 @@ import math
 import numpy as np
 
 from rvjax.population import deviate_of
-from rvjax.tolerances.allocation.certificate import Certifier
 from rvjax.tolerances.batch.monte_carlo import Statistics
-from rvjax.tolerances.codesign.margins import JOINT, Margins
-from rvjax.tolerances.codesign.programme import End
+from rvjax.tolerances.optimum.certificate import Certifier
+from rvjax.tolerances.optimum.margins import JOINT, Margins
+from rvjax.tolerances.optimum.programme import End
 from rvjax.tolerances.requirements.kinds import Requirement
 
 MOST = 0.25

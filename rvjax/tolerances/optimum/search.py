@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import optimize
 
-from rvjax.tolerances.allocation.conlin import cheapest, total_cost
-from rvjax.tolerances.allocation.cost import Cost
-from rvjax.tolerances.allocation.rays import Rays
-from rvjax.tolerances.allocation.sample_average import Point, Training
+from rvjax.tolerances.optimum.conlin import cheapest, total_cost
+from rvjax.tolerances.optimum.cost import Cost
+from rvjax.tolerances.optimum.rays import Rays
+from rvjax.tolerances.optimum.sample_average import Point, Training
 
 _STEP = 1e-4  # of the differences of a cost, logarithm of a half-width
 _AT = 4e-3  # a field nearer to the end of its range, as a part of it, is there: twice what a search settles to

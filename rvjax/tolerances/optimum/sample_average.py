@@ -18,10 +18,10 @@ from rvjax._jax.blocks import PULLED
 from rvjax.population import Population, Tolerance, drawn, root_key
 from rvjax.response import BLOCK, Response, elements_and_rates, gradients, respond, response_names
 from rvjax.status import succeeded
-from rvjax.tolerances.allocation.followed import Followed, followable
-from rvjax.tolerances.allocation.shrinkage import MANY, total_of_many
 from rvjax.tolerances.batch.checkpoint import describe
 from rvjax.tolerances.batch.memo import Memo
+from rvjax.tolerances.optimum.followed import Followed, followable
+from rvjax.tolerances.optimum.shrinkage import MANY, total_of_many
 from rvjax.tolerances.requirements.kinds import Requirement
 from rvjax.tolerances.requirements.limits import Limits, Pull, along_reach, nearest, tail_quantile
 from rvjax.tolerances.worst_case import Extremes, extremes

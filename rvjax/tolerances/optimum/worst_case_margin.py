@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from rvjax.population import Population
-from rvjax.tolerances.codesign.decisions import Decisions
+from rvjax.tolerances.optimum.decisions import Decisions
 from rvjax.tolerances.requirements.limits import Limits
 from rvjax.tolerances.worst_case import Extremes
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from rvjax.population import Population
 from rvjax.response import elements
-from rvjax.tolerances.codesign.lines import Crossing, Lines
-from rvjax.tolerances.codesign.share import Share
-from rvjax.tolerances.codesign.tail_sample import Centres
-from rvjax.tolerances.codesign.units import Units
+from rvjax.tolerances.optimum.lines import Crossing, Lines
+from rvjax.tolerances.optimum.share import Share
+from rvjax.tolerances.optimum.tail_sample import Centres
+from rvjax.tolerances.optimum.units import Units
 
 _LINES, _FEWEST = 1024, 64  # of one limit, and of one of its centres at least
 

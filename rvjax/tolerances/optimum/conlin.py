@@ -20,7 +20,7 @@ import numpy as np
 from scipy import optimize
 
 from rvjax.records import promote
-from rvjax.tolerances.allocation.sample_average import Point
+from rvjax.tolerances.optimum.sample_average import Point
 
 _CELLS, _HALVINGS = 32, 45  # of the range of a field: a table of costs may have several minima
 _MOST = 1e5  # price of a constraint, in total costs, that no half-widths within the bounds can meet

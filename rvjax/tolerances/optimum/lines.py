@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy import special
 
-from rvjax.tolerances.codesign.tail_sample import Centres
+from rvjax.tolerances.optimum.tail_sample import Centres
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 _FAR = 12.0  # standard deviations, beyond which no unit counts

@@ -7,21 +7,21 @@ from typing import Any
 import numpy as np
 
 from rvjax.response import begin_programs
-from rvjax.tolerances.allocation.certificate import DRAWS, Certifier
-from rvjax.tolerances.allocation.rounding import Rounding
-from rvjax.tolerances.allocation.sample_average import Training
-from rvjax.tolerances.allocation.search import Search
 from rvjax.tolerances.batch.monte_carlo import Statistics
-from rvjax.tolerances.codesign.correction import MOST, NEAR, WORTH, Correction
-from rvjax.tolerances.codesign.decisions import Decisions
-from rvjax.tolerances.codesign.feasibility import Shortage, least_shortage
-from rvjax.tolerances.codesign.lists import Lists, Places
-from rvjax.tolerances.codesign.local import Local
-from rvjax.tolerances.codesign.margins import Margins
-from rvjax.tolerances.codesign.nominal import Nominal
-from rvjax.tolerances.codesign.problem import Problem
-from rvjax.tolerances.codesign.programme import End, Programme
-from rvjax.tolerances.codesign.steps import COARSE, followed, ranges, starts, valleys
+from rvjax.tolerances.optimum.certificate import DRAWS, Certifier
+from rvjax.tolerances.optimum.correction import MOST, NEAR, WORTH, Correction
+from rvjax.tolerances.optimum.decisions import Decisions
+from rvjax.tolerances.optimum.feasibility import Shortage, least_shortage
+from rvjax.tolerances.optimum.lists import Lists, Places
+from rvjax.tolerances.optimum.local import Local
+from rvjax.tolerances.optimum.margins import Margins
+from rvjax.tolerances.optimum.nominal import Nominal
+from rvjax.tolerances.optimum.problem import Problem
+from rvjax.tolerances.optimum.programme import End, Programme
+from rvjax.tolerances.optimum.rounding import Rounding
+from rvjax.tolerances.optimum.sample_average import Training
+from rvjax.tolerances.optimum.search import Search
+from rvjax.tolerances.optimum.steps import COARSE, followed, ranges, starts, valleys
 from rvjax.tolerances.requirements.kinds import Requirement
 
 FINE = 4096

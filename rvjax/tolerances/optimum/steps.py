@@ -17,10 +17,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from rvjax.tolerances.codesign.decisions import Decisions
-from rvjax.tolerances.codesign.local import Local
-from rvjax.tolerances.codesign.margins import Margins
-from rvjax.tolerances.codesign.programme import MET, End, Programme
+from rvjax.tolerances.optimum.decisions import Decisions
+from rvjax.tolerances.optimum.local import Local
+from rvjax.tolerances.optimum.margins import Margins
+from rvjax.tolerances.optimum.programme import MET, End, Programme
 
 _MOST = 6  # vectors where units are solved, in one search
 _LOOKS = 30  # vectors of one programme on followed units

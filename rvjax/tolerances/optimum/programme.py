@@ -12,8 +12,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from rvjax.tolerances.codesign.local import Local
-from rvjax.tolerances.codesign.quadratic import Minimum, minimum
+from rvjax.tolerances.optimum.local import Local
+from rvjax.tolerances.optimum.quadratic import Minimum, minimum
 
 SETTLED = 2e-5
 """Predicted gain, as a part of the cost, below which a search ends."""

@@ -1,1 +1,0 @@
-"""The cheapest tolerances that meet the requirements."""

@@ -1,1 +1,0 @@
-"""Half-widths, mid-points and numbers of the design in one programme of least cost."""
