@@ -27,10 +27,10 @@ MOVED: dict = {}  # and surrogates
 @contextlib.contextmanager
 def one_start() -> Iterator[None]:
     """Searches begin at the numbers of the study alone; `test_codesign.py` has problems with several valleys."""
-    from rvjax.tolerances.optimum import design
+    from rvjax.tolerances.optimum import designer
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(design, "starts", lambda decisions, x, low, high: [x])
+        patch.setattr(designer, "starts", lambda decisions, x, low, high: [x])
         yield
 
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from oracles.responses import Lever
 from rvjax.tolerances import CpkAtLeast, Middle, Nominal, ReciprocalPower, Requirement, Tolerance, Variable, allocate
-from rvjax.tolerances.optimum import design
+from rvjax.tolerances.optimum import designer
 
 CASES = {
     case["id"]: case
@@ -18,7 +18,7 @@ CASES = {
 }
 PROGRAMMES = [name for name, case in CASES.items() if case["given"].get("family") in ("sums", "larger", "flank")]
 
-one_start = functools.partial(mock.patch.object, design, "starts", lambda decisions, x, low, high: [x])
+one_start = functools.partial(mock.patch.object, designer, "starts", lambda decisions, x, low, high: [x])
 """Context of a search for one valley, from the given start: three quarters of the time are the other starts."""
 
 # The lever of most tests.

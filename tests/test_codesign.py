@@ -186,7 +186,7 @@ def test_half_widths_of_costly_units_are_rounded_to_grades():
 
 def test_the_price_of_a_limit_is_exact(solved_lever):
     """The cost of the lever is 2 sqrt(2) z/(3 limit) for a share with deviate z, so that its price is cost/limit."""
-    assert solved_lever.multipliers["y"] == pytest.approx(-solved_lever.learned, rel=2e-3)
+    assert solved_lever.multipliers["y"] == pytest.approx(-solved_lever.cost, rel=2e-3)
     wide = levered(requirements={"y": Requirement(lower=-2.0, upper=2.0)})
     assert wide.learned == pytest.approx(solved_lever.learned / 2, rel=2e-3)
 

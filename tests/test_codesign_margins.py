@@ -13,7 +13,7 @@ from rvjax.population import Population
 from rvjax.tolerances import ReciprocalPower, Requirement, Tolerance, allocate
 from rvjax.tolerances.optimum.correction import WORTH, Correction
 from rvjax.tolerances.optimum.decisions import Decisions
-from rvjax.tolerances.optimum.design import Designer
+from rvjax.tolerances.optimum.designer import Designer
 from rvjax.tolerances.optimum.margins import Margins
 from rvjax.tolerances.optimum.variable import Middle
 
@@ -83,7 +83,9 @@ def test_a_limit_moves_to_where_the_certificate_sees_the_units(factor, held, due
         run=SimpleNamespace(requirements={"y": Requirement(upper=1.0)}), joint_target=None, follows=False,
         factors=lambda certificate, distance: np.array([factor]),
     )  # fmt: skip
-    margins = SimpleNamespace(names=["y"], ways=np.ones(1), offsets=np.zeros(1), central_ways=lambda x: np.ones(1))
+    margins = SimpleNamespace(
+        names=["y"], ways=np.ones(1), offsets=np.zeros(1), central_ways=lambda x: np.ones(1), exact=[], most_failed=None
+    )
     end = SimpleNamespace(point=SimpleNamespace(x=None, margins=np.zeros(1)))
     certificate = SimpleNamespace(verdicts={"y": SimpleNamespace(met=held)})
     assert Correction(certifier).apply(margins, end, certificate, held)

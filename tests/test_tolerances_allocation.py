@@ -74,13 +74,13 @@ def test_closed_form_of_two_fields(optimum):
     assert optimum.tolerances["a"].upper == pytest.approx(optimum.half_widths["a"])
     assert optimum.shortfall == 0.0
     assert optimum.graded is None
-    assert len(optimum.history) < 12
+    assert len(optimum.history) < 20
     assert optimum.history[0]["cost"] == pytest.approx(2.0)
 
 
 def test_multiplier_is_the_shadow_price(optimum):
     """The optimal cost is C ~ 1/L, so dC/dL = -C/L; the sample puts the limit elsewhere by up to 4 %."""
-    assert optimum.multipliers == pytest.approx(-optimum.learned / LIMIT, rel=0.01)
+    assert optimum.multipliers == pytest.approx(-optimum.cost / LIMIT, rel=0.01)
     assert optimum.learned == pytest.approx(closed_cost(0.9973), rel=0.04)
 
 
@@ -290,7 +290,11 @@ def test_grades():
 
 
 def test_certified_grades_are_the_result_where_free_half_widths_are_not_certified(monkeypatch):
-    """Half-widths 2 % above the optimum do not hold and nothing else is tried; grades not wider than these hold."""
+    """Half-widths 2 % above the optimum do not hold and nothing else is tried; grades not wider than these hold.
+
+    Units that are costly: of these a search for half-widths alone is certified by `settle`.
+    """
+    monkeypatch.setattr(Linear, "costly", True, raising=False)
     sized = {name: one.replace(size=25 * mm) for name, one in PAIR.items()}
 
     def above(self, search, point):

@@ -102,7 +102,7 @@ def test_a_bound_on_the_standard_deviation():
     assert found.certificate.verdicts.estimate.upper <= LIMIT / 3
     assert 0 < (LIMIT / reach - 1) * math.sqrt(2 * UNITS) < 5
     assert found.cost < 1.002 * closed_cost(THREE_SIGMA, reach)
-    assert found.multipliers == pytest.approx(-found.learned / (LIMIT / 3), rel=0.02)
+    assert found.multipliers == pytest.approx(-found.cost / (LIMIT / 3), rel=0.02)
 
 
 def test_arithmetic_limits():

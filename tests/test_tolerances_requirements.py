@@ -108,7 +108,7 @@ def test_cheapest_half_widths_for_a_capability():
     assert found.status == "OPTIMAL" and found.certificate.verdicts.met
     assert exact <= found.cost < 1.001 * exact
     # cost = c/L, so d cost/d L = -cost/L.
-    assert found.multipliers == pytest.approx(-found.learned / LIMIT, rel=0.01)
+    assert found.multipliers == pytest.approx(-found.cost / LIMIT, rel=0.01)
     assert found.shortfall == 0.0
     curve = cost_curve(linear, found.tolerances, CPK, values=(1.0,), against="target", **FEW)
     assert curve.costs[0] == pytest.approx(capable(curve.allocations[0], 1.0), rel=0.001)

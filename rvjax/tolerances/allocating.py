@@ -1,13 +1,10 @@
 """Allocation: the cheapest tolerances that still meet every requirement, with a certificate or a refusal."""
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from typing import Any, cast
 
 import jax
-import jax.numpy as jnp
-import numpy as np
 
 from rvjax._ground.progress import progress_bar
 from rvjax._jax.arguments import checked
@@ -16,20 +13,19 @@ from rvjax.records import Record
 from rvjax.response import BLOCK, DesignResponse, Response, by_response, response_names, unwrapped
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.batch.monte_carlo import Run, Statistics
-from rvjax.tolerances.optimum.certificate import DRAWS, Certifier
+from rvjax.tolerances.optimum.certificate import Certifier
 from rvjax.tolerances.optimum.cost import COSTS, Cost
-from rvjax.tolerances.optimum.figures import designed
-from rvjax.tolerances.optimum.nominal import Nominal
+from rvjax.tolerances.optimum.designer import Designer
+from rvjax.tolerances.optimum.figures import allocation_of, check_objective
+from rvjax.tolerances.optimum.found import status_of
+from rvjax.tolerances.optimum.half_widths import HalfWidths
 from rvjax.tolerances.optimum.problem import Problem
 from rvjax.tolerances.optimum.result import Allocation
-from rvjax.tolerances.optimum.rounding import Rounding
-from rvjax.tolerances.optimum.sample_average import Point, Training
-from rvjax.tolerances.optimum.search import Search
+from rvjax.tolerances.optimum.sample_average import Training
 from rvjax.tolerances.optimum.variable import Middle, Variable, check_middles, with_values
 from rvjax.tolerances.requirements.kinds import Limits
 
 FEWEST = 100  # units a quantile can be learned from
-DEARER = 0.2  # than learned, as a part of that cost: what is certified at more is not called the cheapest
 KEPT = 65_536  # units of a certificate whose responses are kept, at most
 
 
@@ -150,47 +146,37 @@ def allocated(
     _check(required, joint_target, samples=samples, certificate_samples=certificate_samples, max_steps=max_steps)
     priced = _costs_by_field(costs, population.active, needed=not variables)
     check_middles(middles or {}, population.active)
-    if middles or variables or objective or any(isinstance(item, Nominal) for item in required.values()):
-        drawn = certificate_samples, seed, block(samples, certificate_samples)
-        judged = {name: item for name, item in required.items() if not isinstance(item, Nominal)}
-        with progress_bar(progress, None, "searching", "step") as advance:
-            run = Run(
-                response, population, names, judged, *drawn, confidence=confidence, progress=progress,
-                keep=certificate_samples <= KEPT, label="certifying", memo=memo,
-            )  # fmt: skip
-            problem = Problem(
-                response, population, required, priced, middles or {}, variables or {}, objective or {}, joint_target,
-                samples, seed, max_steps, run, memo, advance,
-            )  # fmt: skip
-            results = designed(problem, names, grades=grades)
-        result, *rounded = [Allocation(**fields) for fields in results]
-        return unwrapped(dataclasses.replace(result, graded=rounded[0]) if rounded else result), None
-    start = np.array([float(population.active[name].half_width) for name in priced])
-    training = Training(response, population, tuple(priced), required, joint_target, samples, seed, memo)
+    judged = {name: item for name, item in required.items() if item.of_sample}
     with progress_bar(progress, None, "searching", "step") as advance:
-        drawn = certificate_samples, seed, block(samples, certificate_samples)
         run = Run(
-            response, training.population, names, required, *drawn, confidence=confidence, progress=progress,
-            keep=certificate_samples <= KEPT, label="certifying", memo=memo,
+            response, population, names, judged, certificate_samples, seed, block(samples, certificate_samples),
+            confidence=confidence, progress=progress, keep=certificate_samples <= KEPT, label="certifying", memo=memo,
         )  # fmt: skip
-        certifier = Certifier(run, joint_target, follows=training.followed is not None)
-        search = Search(training, priced, max_steps, advance)
-        advance(0)
-        point, possible = search.opened(start)
-        found = _cheapest(search, certifier, point, start) if possible else _finest(search, certifier)
-    given = names, start, certifier
-    result = _result(search, found, *given)
-    solved = None if training.followed is None else Solved(training, certifier)
-    if not grades or not result.feasible:
-        return unwrapped(result), solved
-    t, chosen, certificate = Rounding(search, certifier, priced).graded(found.half_widths, found.certificate)
-    status = "OPTIMAL" if certifier.holds(certificate) else "NOT_CERTIFIED"
-    snapped = dataclasses.replace(found, status=status, half_widths=t, certificate=certificate)
-    if status == "OPTIMAL" and not certifier.holds(found.certificate):  # grades near it are certified: they are the set
-        found = dataclasses.replace(snapped, status=_status(search, found.learned, t, found.settled))
-        result = _result(search, found, *given)
-    graded = dataclasses.replace(_result(search, snapped, *given), grades=chosen)
-    return unwrapped(dataclasses.replace(result, graded=graded)), solved
+        problem = Problem(
+            response, population, required, priced, middles or {}, variables or {}, objective or {}, joint_target,
+            samples, seed, max_steps, run, memo, advance,
+        )  # fmt: skip
+        check_objective(problem.objective, names)
+        decisions = problem.decisions()
+        alone = problem.of_widths
+        solver = HalfWidths(problem, decisions, problem.start(decisions)) if alone else Designer(problem, decisions)
+        found = solver.solution()
+        rounded = None
+        if grades and found.status != "INFEASIBLE" and priced:
+            rounded, chosen = solver.graded(found)
+            if rounded.status == "OPTIMAL" and found.status == "NOT_CERTIFIED":  # grades near it are the set
+                found = dataclasses.replace(
+                    rounded, status=status_of(
+                        certified=True, exact=True, cost=rounded.cost, learned=found.learned, settled=found.settled,
+                        stationary=found.stationary,
+                    ),
+                )  # fmt: skip
+        given = names, solver.ranges(found), solver.certifier.solved
+        result = allocation_of(problem, found, *given)
+        if rounded is not None:
+            graded = dataclasses.replace(allocation_of(problem, rounded, names, {}, given[2]), grades=chosen)
+            result = dataclasses.replace(result, graded=graded)
+    return unwrapped(result), Solved(solver.training, solver.certifier) if isinstance(solver, HalfWidths) else None
 
 
 def block(samples: int, certificate_samples: int) -> int:
@@ -209,112 +195,6 @@ def _check(required: dict[str, Limits], joint_target: float | None, **counts: in
         least = FEWEST if name == "samples" else 1
         if value < least:
             raise ValueError(f"{name} = {value!r}: must be at least {least}")
-
-
-@dataclasses.dataclass(frozen=True)
-class _Found:
-    """Result of a search.
-
-    `prices` and `shortfall` by requirement; `learned`: cost before certification; `settled`: no limit of steps ended
-    the search.
-    """
-
-    status: str
-    learned: float
-    half_widths: np.ndarray
-    certificate: Statistics
-    prices: np.ndarray
-    shortfall: dict[str, float]
-    residual: float = math.nan
-    settled: bool = True
-
-
-def _cheapest(search: Search, certifier: Certifier, point: Point, start: np.ndarray) -> _Found:
-    training, run = search.training, certifier.run
-    point, settled = search.find(point, start)
-    if run.samples > training.samples and training.followed is None:  # a larger sample is more accurate
-        seen = certifier.draw(training.with_half_widths(point.half_widths))
-        point, settled = search.find(training.correct(point, certifier.factors(seen, training.distance)), start)
-    prices = search.prices(point)
-    if search.shrinks(point):
-        half_widths, certificate = _certified(search, certifier, point, start)
-    else:
-        half_widths, certificate = _aimed(search, certifier, point, start)
-    learned, nothing = search.cost(point.half_widths), dict.fromkeys(run.requirements, 0.0)
-    status = _status(search, learned, half_widths, settled)
-    if not certifier.holds(certificate):
-        status = "NOT_CERTIFIED"
-    return _Found(status, learned, half_widths, certificate, prices, nothing, search.residual(point), settled)
-
-
-def _status(search: Search, learned: float, half_widths: np.ndarray, settled: bool) -> str:
-    """Status of certified half-widths, by their cost over the learned one and the end of the search."""
-    if search.cost(half_widths) > (1 + DEARER) * learned:
-        return "SUBOPTIMAL"
-    return "OPTIMAL" if settled else "MAX_STEPS"
-
-
-def _certified(search: Search, certifier: Certifier, point: Point, start: np.ndarray) -> tuple[np.ndarray, Statistics]:
-    """The cheapest certified set: what was found, tightened where need be, or the start, or the finest."""
-    training, start = search.training, search.inside(start)
-    best, certificate = certifier.settle(search, point)
-    best, certificate = certifier.polished(search, point, best, certificate)
-    others = [t for t in (start, search.low) if not certifier.holds(certificate) or search.cost(t) < search.cost(best)]
-    for other in sorted(others, key=search.cost):
-        if certifier.hopeless():
-            break
-        if search.promising(other):
-            drawn = certifier.draw(training.with_half_widths(other))
-            if certifier.holds(drawn):
-                return other, drawn
-    return best, certificate
-
-
-def _aimed(search: Search, certifier: Certifier, point: Point, start: np.ndarray) -> tuple[np.ndarray, Statistics]:
-    """Certified set where smaller half-widths do not help: correct the sample by a certificate, search again."""
-    certificate = certifier.draw(search.training.with_half_widths(point.half_widths))
-    for _ in range(DRAWS - 1):
-        if certifier.holds(certificate) or certifier.hopeless():
-            break
-        told = search.training.correct(point, certifier.factors(certificate, search.training.distance))
-        point, _ = search.find(told, start)
-        certificate = certifier.draw(search.training.with_half_widths(point.half_widths))
-    return point.half_widths, certificate
-
-
-def _finest(search: Search, certifier: Certifier) -> _Found:
-    """Result where even the finest half-widths fail on the learning sample; an independent one gives the shortfall."""
-    certificate, shortfall = certifier.shortfall(search.training.with_half_widths(search.low))
-    refused = certifier.joint_target is not None or any(missing > 0 for missing in shortfall.values())
-    status = "INFEASIBLE" if refused else "NOT_CERTIFIED"  # the larger sample may see the limits just met
-    if certifier.holds(certificate):
-        status = "OPTIMAL"
-    return _Found(status, search.cost(search.low), search.low, certificate, np.zeros(len(shortfall)), shortfall)
-
-
-def _result(
-    search: Search, found: _Found, names: tuple[str, ...], start: np.ndarray, certifier: Certifier
-) -> Allocation:
-    t, training, nothing = found.half_widths, search.training, dict.fromkeys(names, 0.0)
-    costs = zip(training.fields, search.costs, t)
-    return Allocation(
-        feasible=found.status != "INFEASIBLE",
-        status=found.status,
-        tolerances=training.with_half_widths(t).tolerances,
-        cost=search.cost(t),
-        start_cost=search.cost(start),
-        learned=found.learned,
-        costs={name: float(cost(jnp.asarray(half_width))) for name, cost, half_width in costs},
-        half_widths=dict(zip(training.fields, map(float, t))),
-        multipliers=nothing | dict(zip(training.requirements, map(float, -found.prices))),
-        shortfall=nothing | found.shortfall,
-        residual=found.residual,
-        certificate=found.certificate,
-        grades=None,
-        graded=None,
-        history=search.history,
-        evaluations={"search": training.evaluated[0], "certificates": certifier.solved},
-    )
 
 
 def _costs_by_field(costs: Any, active: Mapping[str, Tolerance], *, needed: bool = True) -> dict[str, Cost]:

@@ -7,9 +7,8 @@ import numpy as np
 from rvjax.population import deviate_of
 from rvjax.tolerances.batch.monte_carlo import Statistics
 from rvjax.tolerances.optimum.certificate import Certifier
-from rvjax.tolerances.optimum.margins import JOINT, Margins
+from rvjax.tolerances.optimum.margins import FAILED, JOINT, Margins
 from rvjax.tolerances.optimum.programme import End
-from rvjax.tolerances.requirements.kinds import Requirement
 
 MOST = 0.25
 """The largest correction, in parts of a way, or logarithm of a factor."""
@@ -50,11 +49,11 @@ class Correction:
         """
         if certificate.verdicts is None:
             return False
-        missed = {JOINT} | {name for name, verdict in certificate.verdicts.items() if not verdict.met}
+        missed = {JOINT, FAILED} | {name for name, verdict in certificate.verdicts.items() if not verdict.met}
         exact, ways, changed = self._of_units(margins, certificate), margins.central_ways(end.point.x), False
         for k, seen in (self._by_factors(margins, ways, certificate, held) | exact).items():
             here, way = float(end.point.margins[k]), 1.0 if k in exact else float(ways[k])
-            if here < -NEAR * way:
+            if here < -NEAR * way or k in margins.exact:
                 continue
             if not held and margins.names[k] in missed and seen <= here:
                 seen = here + WORTH * way
@@ -71,6 +70,7 @@ class Correction:
         by_name = dict(zip(margins.names, ways * margins.ways))
         factors = self._certifier.factors(certificate, np.array([by_name[name] for name in limited]))
         named = dict(zip(limited, factors)) | ({} if self._certifier.joint_target is None else {JOINT: factors[-1]})
+        named |= {} if margins.most_failed is None else {FAILED: factors[len(limited)]}
         found = {}
         for k, name in enumerate(margins.names):
             if name in named:
@@ -88,7 +88,7 @@ class Correction:
         deviate, found = deviate_of(run.confidence) + _SPARE, dict[int, float]()
         for k, row in enumerate(margins.rows):
             item = run.requirements.get(row.name)
-            if isinstance(item, Requirement):
+            if item is not None and item.of_shares:
                 margin = item.certified_margin(certificate.values[row.name], deviate)
                 if math.isfinite(margin):
                     found[k] = margin / float(margins.ways[k])

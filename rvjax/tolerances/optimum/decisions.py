@@ -78,6 +78,12 @@ class Decisions:
         inner = np.where(logs >= self.high[:count], self._high, np.exp(logs))
         return np.clip(np.where(logs <= self.low[:count], self._low, inner), self._low, self._high)
 
+    def with_half_widths(self, x: np.ndarray, half_widths: np.ndarray) -> np.ndarray:
+        """The vector with other half-widths (j,)."""
+        found = x.copy()
+        found[: len(half_widths)] = np.log(half_widths)
+        return found
+
     def middles_at(self, x: np.ndarray) -> dict[str, float]:
         """Mid-points of the limits that may move."""
         found = {name: self._origin(name) for name in self.middles}
@@ -124,11 +130,14 @@ class Decisions:
 
     def cost(self, x: np.ndarray) -> float:
         """Cost of half-widths, of mid-points that moved and of numbers of the design."""
-        widths = 0.0
-        if self.fields:
-            widths = float(total_cost(tuple(self.priced.values()), jnp.asarray(self.half_widths(x))))
         own = sum(self.variables[name].own_cost(value) for name, value in self.values(x).items())
-        return widths + self.moving(x) + own
+        return self.widths_cost(x) + self.moving(x) + own
+
+    def widths_cost(self, x: np.ndarray) -> float:
+        """Cost of the half-widths."""
+        if not self.fields:
+            return 0.0
+        return float(total_cost(tuple(self.priced.values()), jnp.asarray(self.half_widths(x))))
 
     def cost_slopes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives (n,) of the cost, and its curvatures (n,)."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from rvjax.tolerances.optimum.decisions import Decisions
 from rvjax.tolerances.optimum.local import Local
-from rvjax.tolerances.optimum.margins import Margins
+from rvjax.tolerances.optimum.margins import FAILED, Margins
 from rvjax.tolerances.optimum.programme import End, Programme
 
 
@@ -80,6 +80,8 @@ def least_shortage(
     by_name = dict.fromkeys(margins.names, 0.0)
     for name, margin, way in zip(margins.names, best.point.margins, margins.ways):
         by_name[name] = max(by_name[name], float(margin) * way, 0.0)
+    if by_name.get(FAILED, 0.0) > 0:  # no limit helps a statistic of the valid units
+        by_name |= {name: np.inf for name, item in margins.requirements.items() if item.most_failed < 1}
     by_name = {name: value for name, value in by_name.items() if name in margins.requirements}
     return Shortage(best.point.x, short(best), by_name, _helping(best, decisions))
 

@@ -1,17 +1,16 @@
-"""Fields of an `Allocation` with mid-points or numbers of the design that were chosen.
+"""The `Allocation` of a solution.
 
 Prices of limits and of bounds, active bounds, and the reason of an infeasible problem.
 """
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import jax.numpy as jnp
 
-from rvjax.tolerances.optimum.design import Designer, Found
-from rvjax.tolerances.optimum.margins import JOINT
+from rvjax.tolerances.optimum.found import Found
 from rvjax.tolerances.optimum.problem import Problem
+from rvjax.tolerances.optimum.result import Allocation
 
 _AT = 1e-6  # part of its range, nearer than which a number is at its bound
 
@@ -44,40 +43,7 @@ def value_prices(found: Found) -> dict[str, float]:
 
 def _unsearched(found: Found) -> float:
     """Price to begin with: nan where a certificate holds that no search led to."""
-    return math.nan if found.end is None and found.shortage is None else 0.0
-
-
-def multipliers(found: Found) -> dict[str, float]:
-    """d cost / d limit by requirement, all its limits moving outwards; <= 0, nan without a search."""
-    prices = dict.fromkeys(found.margins.requirements, _unsearched(found))
-    if found.end is None:
-        return prices
-    for name, price, way in zip(found.margins.names, found.end.prices, found.margins.ways):
-        if name in prices:
-            prices[name] -= float(price / way)
-    if JOINT in found.margins.names[len(found.margins.rows) :]:
-        for name, part in found.margins.leading(found.x).items():
-            prices[name] -= float(found.end.prices[-1]) * part
-    return prices
-
-
-def margins(found: Found) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
-    """Margins of the requirements at the end of the search, of two sides the larger, and their derivatives."""
-    values, slopes = dict[str, float](), dict[str, dict[str, float]]()
-    if found.end is None:
-        return values, slopes
-    decisions, point = found.decisions, found.end.point
-    first = len(decisions.fields) + len(decisions.moves)
-    widths = decisions.half_widths(point.x)
-    for k, row in enumerate(found.margins.rows):
-        value, rates = point.margins[k] * found.margins.ways[k], point.jacobian[k] * found.margins.ways[k]
-        if not math.isfinite(value) or value <= values.get(row.name, -math.inf):
-            continue
-        values[row.name] = float(value)
-        numbers = rates[first:] / decisions.rates()[len(decisions.moves) :]
-        slopes[row.name] = dict(zip(decisions.fields, map(float, rates[: len(widths)] / widths)))
-        slopes[row.name] |= dict(zip(decisions.free, map(float, numbers)))
-    return values, slopes
+    return math.nan if found.end is None and found.shortage is None and found.decisions.variables else 0.0
 
 
 def reason(found: Found) -> str | None:
@@ -99,24 +65,6 @@ def reason(found: Found) -> str | None:
     return text
 
 
-def designed(problem: Problem, names: tuple[str, ...], *, grades: bool) -> list[dict[str, Any]]:
-    """Fields of the result, and of the result rounded to grades where these are wanted.
-
-    Args:
-        problem: to solve.
-        names: of the response.
-        grades: whether half-widths are also rounded.
-    """
-    check_objective(problem.objective, names)
-    designer = Designer(problem)
-    found = designer.solution()
-    results = [figures(designer, found, names, designer.ranges(found))]
-    if grades and results[0]["feasible"] and problem.priced:
-        rounded, chosen = designer.graded(found)
-        results.append(figures(designer, rounded, names, {}) | {"grades": chosen})
-    return results
-
-
 def check_objective(objective: Mapping[str, float], names: tuple[str, ...]) -> None:
     """Raise ValueError for a price of no output, or one that is not finite.
 
@@ -130,38 +78,44 @@ def check_objective(objective: Mapping[str, float], names: tuple[str, ...]) -> N
             raise ValueError(f"objective: the price of {name} = {price!r}: must be finite")
 
 
-def figures(
-    designer: Designer, found: Found, names: tuple[str, ...], ranges: dict[str, tuple[float, float]]
-) -> dict[str, Any]:
-    """Fields of the `Allocation` of a solution."""
-    problem, decisions = designer.problem, found.decisions
+def allocation_of(
+    problem: Problem, found: Found, names: tuple[str, ...], ranges: dict[str, tuple[float, float]], solved: int
+) -> Allocation:
+    """Result of a solution.
+
+    Args:
+        problem: that was solved.
+        found: its solution.
+        names: of the response.
+        ranges: of the numbers of the design.
+        solved: units of the certificates.
+    """
+    decisions = found.decisions
     t = decisions.half_widths(found.x)
     nothing = dict.fromkeys(names, 0.0)
-    start = found.margins.total(designer.problem.start(decisions)) if math.isfinite(found.learned) else math.nan
-    reached, slopes = margins(found)
     widths = zip(decisions.fields, problem.priced.values(), t)
-    return dict(
+    return Allocation(
         feasible=found.status != "INFEASIBLE",
         status=found.status,
         tolerances=decisions.population(found.x).tolerances,
-        cost=found.margins.total(found.x),
-        start_cost=start,
+        cost=found.cost,
+        start_cost=problem.start_cost(decisions),
         learned=found.learned,
         costs={name: float(cost(jnp.asarray(half_width))) for name, cost, half_width in widths},
         half_widths=dict(zip(decisions.fields, map(float, t))),
-        multipliers=nothing | multipliers(found),
-        shortfall=nothing | ({} if found.shortage is None else found.shortage.by_name),
-        residual=math.nan if found.end is None else found.end.residual,
+        multipliers=nothing | {name: -price for name, price in found.prices.items()},
+        shortfall=nothing | found.shortfall,
+        residual=found.residual,
         certificate=found.certificate,
         grades=None,
         graded=None,
         history=found.history,
-        evaluations={"search": found.margins.evaluated, "certificates": designer.certifier.solved},
+        evaluations={"search": found.evaluated, "certificates": solved},
         values=decisions.values(found.x),
         bounds_active=bounds_active(found),
         value_prices=value_prices(found),
         ranges=ranges,
-        margins=reached,
-        margin_slopes=slopes,
+        margins=found.margins,
+        margin_slopes=found.slopes,
         reason=reason(found),
     )

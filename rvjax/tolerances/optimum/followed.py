@@ -23,7 +23,6 @@ from rvjax.population import Population, drawn, root_key
 from rvjax.response import BLOCK, Response, elements, is_costly, parts
 from rvjax.status import succeeded, worst
 from rvjax.tolerances.batch.memo import Memo
-from rvjax.tolerances.requirements.kinds import Requirement
 from rvjax.tolerances.requirements.limits import Limits
 
 WRONG = 0.1  # units expected on the wrong side of a limit, at most
@@ -58,7 +57,7 @@ class _Known:
 
 def followable(response: Response, requirements: dict[str, Limits]) -> bool:
     """True if units are costly and all requirements are shares within limits."""
-    return is_costly(response) and all(isinstance(r, Requirement) for r in requirements.values())
+    return is_costly(response) and all(item.of_shares for item in requirements.values())
 
 
 class Followed:

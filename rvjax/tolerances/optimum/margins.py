@@ -20,21 +20,24 @@ from rvjax.tolerances.optimum.anchor import Anchor, AnchoredUnits
 from rvjax.tolerances.optimum.decisions import Decisions
 from rvjax.tolerances.optimum.limit_lines import LimitLines
 from rvjax.tolerances.optimum.local import Local
-from rvjax.tolerances.optimum.nominal import Nominal, NominalOutputs
+from rvjax.tolerances.optimum.nominal import NominalOutputs
 from rvjax.tolerances.optimum.share import Share, joint_share, share_of
 from rvjax.tolerances.optimum.sides import sides, size
 from rvjax.tolerances.optimum.tail_sample import Centres, TailSample, centres_of, kernel, smooth_quantile
 from rvjax.tolerances.optimum.units import Weights
 from rvjax.tolerances.optimum.worst_case_margin import worst_case
-from rvjax.tolerances.requirements.kinds import Requirement
 from rvjax.tolerances.requirements.limits import Limits
 from rvjax.tolerances.worst_case import extremes
 
 WIDTH = 0.06  # of the smoothing of quantiles, standard deviations of the response along its gradient
 _MOST_LANES = 2 * PULLED  # units behind the slope of a quantile
 _AGREE = 0.02  # of the way to a limit, by which lines may differ from a sample
+_INSET = 2e-5  # of the way of a limit without sampling error: a programme ends within 1e-4 of it, on either side
 JOINT = "joint"
 """Name of the constraint on units that meet all limits."""
+
+FAILED = "failed"
+"""Name of the constraint on the share of failed units, which statistics of the valid ones need."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,22 +61,27 @@ class Margins:
         samples: int,
         seed: int,
         memo: Memo | None = None,
+        plain: int | None = None,
     ) -> None:
+        """Constraints on `samples` units in the tails, and `plain` others (None: as many) for statistics."""
         self.decisions, self.requirements, self.objective = decisions, requirements, objective
         self.joint_target, self.samples, self.seed = joint_target, samples, seed
         self.response = response
-        wanted = {name for name, item in requirements.items() if not isinstance(item, Nominal)}
+        wanted = {name for name, item in requirements.items() if item.of_sample}
         self._units = AnchoredUnits(response, decisions, wanted, memo)
         self._outputs = response_names(response, decisions.base)
-        self.rows = [Constraint(n, i) for n, i in requirements.items() if isinstance(i, Requirement)]
+        self.rows = [Constraint(n, i) for n, i in requirements.items() if i.of_shares]
         self._shares = len(self.rows)
         for name, item in requirements.items():
-            if not isinstance(item, Requirement):
+            if not item.of_shares:
                 self.rows += [Constraint(name, side) for side in sides(item)]
-        outputs = {n for n, item in requirements.items() if isinstance(item, Nominal)} | set(objective)
+        outputs = {n for n, item in requirements.items() if not item.of_sample} | set(objective)
         self._nominal = NominalOutputs(response, tuple(sorted(outputs)))
-        self._plain = any(not isinstance(i, (Requirement, Nominal)) for i in requirements.values())
-        self.names = [row.name for row in self.rows] + ([JOINT] if joint_target is not None else [])
+        self._plain = any(i.of_sample and not i.of_shares for i in requirements.values())
+        self.most_failed = min((i.most_failed for i in requirements.values() if i.most_failed < 1), default=None)
+        self.names = [row.name for row in self.rows] + ([FAILED] if self.most_failed is not None else [])
+        self.names += [JOINT] if joint_target is not None else []
+        self.exact = [k for k, row in enumerate(self.rows) if row.item.exact]
         self.offsets = np.zeros(len(self.names))
         self.ways = np.ones(len(self.names))
         self.widths = np.ones(len(self.names))
@@ -81,7 +89,7 @@ class Margins:
         self.tails = TailSample(numbers, samples, seed)
         self._centres: dict[int, Centres] = {}
         self.lines: dict[int, LimitLines] = {}
-        self.plain = SobolPoints(numbers, seed).z(0, samples) if self._plain else np.zeros((numbers, 0))
+        self.plain = SobolPoints(numbers, seed).z(0, plain or samples) if self._plain else np.zeros((numbers, 0))
 
     @property
     def evaluated(self) -> int:
@@ -96,7 +104,7 @@ class Margins:
         centre = self._central(x) if self._units.parts else {}
         values = self._units.values(x, self.tails.z, "tails") if self._units.parts else {}
         for k, row in enumerate(self.rows):
-            if isinstance(row.item, Nominal):
+            if not row.item.of_sample:
                 self.ways[k] = size(row.item) or abs(outputs[row.name]) or 1.0
             else:
                 spread = float(np.nanstd(values[row.name])) if np.isfinite(values[row.name]).any() else 0.0
@@ -104,6 +112,7 @@ class Margins:
                 self.ways[k] = max(w for w in (way, spread, 1e-300) if math.isfinite(w))
                 if not row.item.limits_values:
                     self.ways[k] = row.item.upper
+        self.offsets[self.exact] = _INSET * self.ways[self.exact]
         self.replace_sample(x)
 
     def replace_sample(self, x: np.ndarray) -> None:
@@ -179,18 +188,18 @@ class Margins:
 
     # Margins.
 
-    def look(self, x: np.ndarray) -> Local:
-        """Cost, margins and derivatives at a vector of decisions."""
+    def look(self, x: np.ndarray, *, sloped: bool = True) -> Local:
+        """Cost, margins and derivatives at a vector of decisions; `sloped` False: units without derivatives."""
         decisions, n = self.decisions, self.decisions.size
         population = decisions.population(x)
         margins, jacobian = np.zeros(len(self.names)), np.zeros((len(self.names), n))
         if self._shares:
-            self._look_at_shares(x, population, margins, jacobian)
+            self._look_at_shares(x, population, margins, jacobian, sloped)
         if self._plain:
-            self._look_at_statistics(x, population, margins, jacobian)
+            self._look_at_statistics(x, population, margins, jacobian, sloped)
         outputs, rates = self._nominal.at(population)
         for k, row in enumerate(self.rows):
-            if isinstance(row.item, Nominal):
+            if not row.item.of_sample:
                 value = outputs[row.name]
                 margins[k] = row.item.margin(value) if math.isfinite(value) else math.inf
                 jacobian[k] = float(row.item.outward(np.array(value))) * decisions.by_number(rates[row.name])
@@ -202,6 +211,10 @@ class Margins:
             x, decisions.cost(x), slopes, bends, float(priced), towards, margins, jacobian / self.ways[:, None]
         )
 
+    def missed(self, point: Local) -> np.ndarray:
+        """Excess (e,) of the limits without sampling error, in parts of their ways."""
+        return point.margins[self.exact] - self.offsets[self.exact] / self.ways[self.exact]
+
     def of_others(self, x: np.ndarray, times: int) -> dict[int, float]:
         """{row: margin in parts of its way, without correction} on shares, of so many times as many other units."""
         population, found = self.decisions.population(x), dict[int, float]()
@@ -210,6 +223,19 @@ class Margins:
             k = self._row(number)
             level = smooth_quantile(shared.margins, tails.weights, 1 - shared.target, self.widths[k])
             found[k] = (level - self._widened(k, shared.target)) / self.ways[k]
+        return found
+
+    def spared(self, x: np.ndarray, requirements: dict[str, Limits]) -> np.ndarray:
+        """Distance (c,) by which the quantiles at the targets of other requirements lie further within, in parts."""
+        found = np.zeros(len(self.names))
+        values = self._units.values(x, self.tails.z, "tails") if self._shares else {}
+        for k, row in enumerate(self.rows[: self._shares]):
+            own = share_of(row.name, row.item, values[row.name])
+            level, there = (
+                smooth_quantile(own.margins, self.tails.weights, 1 - target, self.widths[k])
+                for target in (own.target, share_of(row.name, requirements[row.name], values[row.name]).target)
+            )
+            found[k] = max(level - there, 0.0) / self.ways[k] if math.isfinite(level - there) else 0.0
         return found
 
     def _widened(self, k: int, target: float) -> float:
@@ -227,7 +253,7 @@ class Margins:
         if self._units.parts:
             centre = self._central(x)
             for k, row in enumerate(self.rows):
-                if not isinstance(row.item, Nominal) and row.item.limits_values:
+                if row.item.of_sample and row.item.limits_values:
                     found[k] = max(abs(float(row.item.margin(centre[row.name]))) / self.ways[k], 1e-3)
         return found
 
@@ -263,14 +289,15 @@ class Margins:
         """Units of a row on a share."""
         if k < len(self.rows):
             row = self.rows[k]
-            assert isinstance(row.item, Requirement)
             return share_of(row.name, row.item, values[row.name])
         assert self.joint_target is not None
         items = {n: i for n, i in self.requirements.items() if i.of_units}
         ways = {n: float(self.ways[self.names.index(n)]) for n in items}
         return joint_share(items, ways, values, self.joint_target)
 
-    def _look_at_shares(self, x: np.ndarray, population: Population, margins: np.ndarray, jacobian: np.ndarray) -> None:
+    def _look_at_shares(
+        self, x: np.ndarray, population: Population, margins: np.ndarray, jacobian: np.ndarray, sloped: bool
+    ) -> None:
         several = dict[int, tuple[np.ndarray, Weights]]()
         for k, lines in list(self.lines.items()):
             found = lines.look(x)
@@ -287,7 +314,7 @@ class Margins:
                 continue
             level = smooth_quantile(own, self.tails.weights, 1 - target, self.widths[k])
             margins[k] = level - self._widened(k, target)
-            units, weights = self._deciding(k, own, level)
+            units, weights = self._deciding(k, own, level) if sloped else (np.zeros(0, int), np.zeros(0))
             if len(units):
                 several[k] = units, {name: pull[units] * weights for name, pull in shared.outward.items()}
         if several:
@@ -304,12 +331,12 @@ class Margins:
         return (units, weights) if np.isfinite(weights).all() else (units[:0], weights[:0])
 
     def _look_at_statistics(
-        self, x: np.ndarray, population: Population, margins: np.ndarray, jacobian: np.ndarray
+        self, x: np.ndarray, population: Population, margins: np.ndarray, jacobian: np.ndarray, sloped: bool
     ) -> None:
         values = self._units.values(x, self.plain, "plain")
         for k, row in enumerate(self.rows):
             item = row.item
-            if isinstance(item, (Requirement, Nominal)):
+            if item.of_shares or not item.of_sample:
                 continue
             if item.of_extremes:
                 both = functools.partial(extremes, self.response, names=self._outputs, name=row.name)
@@ -318,7 +345,10 @@ class Margins:
             own = values[row.name]
             valid = own if item.most_failed >= 1 else own[~np.isnan(own)]
             margins[k] = item.learned(valid, self.ways[k])
-            pull = item.pull(own, margins[k], self.ways[k], self.samples)
-            if len(pull.units) and math.isfinite(margins[k]):
+            pull = item.pull(own, margins[k], self.ways[k], len(own))
+            if sloped and len(pull.units) and math.isfinite(margins[k]):
                 weighted = {row.name: pull.cotangents / pull.norms.sum()}
                 jacobian[k] = self._units.slope(x, population, self.plain[:, pull.units], weighted)
+        if self.most_failed is not None:  # units that fail have no slope
+            failed = np.any([np.isnan(row) for row in values.values()], axis=0)
+            margins[len(self.rows)] = float(failed.mean()) / self.most_failed - 1

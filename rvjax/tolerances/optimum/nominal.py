@@ -24,6 +24,8 @@ class Nominal(Limits):
     """
 
     of_units: ClassVar[bool] = False
+    of_sample: ClassVar[bool] = False
+    exact: ClassVar[bool] = True
     most_failed: ClassVar[float] = math.inf
     judges: ClassVar[str] = "response"
     prefix: ClassVar[str] = "nominal_"

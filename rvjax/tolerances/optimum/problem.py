@@ -1,21 +1,23 @@
 """Arguments of an allocation that chooses more than half-widths, and what follows from them."""
 
 import dataclasses
-import math
 from collections.abc import Callable, Mapping
 
+import jax.numpy as jnp
 import numpy as np
 
 from rvjax.population import Population, deviate_of
 from rvjax.response import Response, is_costly
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.batch.monte_carlo import Run
+from rvjax.tolerances.optimum.conlin import total_cost
 from rvjax.tolerances.optimum.cost import Cost
 from rvjax.tolerances.optimum.decisions import Decisions
+from rvjax.tolerances.optimum.followed import followable
 from rvjax.tolerances.optimum.margins import Margins
+from rvjax.tolerances.optimum.nominal import NominalOutputs
 from rvjax.tolerances.optimum.variable import Middle, Variable
 from rvjax.tolerances.requirements.factors import CUSHION
-from rvjax.tolerances.requirements.kinds import Requirement
 from rvjax.tolerances.requirements.limits import Limits
 
 _COSTLY = 2  # times fewer units where they are costly
@@ -66,27 +68,41 @@ class Problem:
         """Vector of decisions."""
         return Decisions(self.population, self.priced, self.middles, self.variables)
 
+    @property
+    def of_widths(self) -> bool:
+        """True if its units are costly, its limits are on shares and half-widths are its only decisions."""
+        decisions = self.decisions()
+        alone = decisions.size == len(decisions.fields) and not self.objective
+        return alone and followable(self.response, self.requirements)
+
+    def start_cost(self, decisions: Decisions) -> float:
+        """Cost of the given tolerances, mid-points and numbers, with the objective."""
+        given = decisions.vector(self.given, {name: item.first for name, item in self.variables.items()})
+        outputs, _ = NominalOutputs(self.response, tuple(sorted(self.objective))).at(decisions.population(given))
+        widths = float(total_cost(tuple(self.priced.values()), jnp.asarray(self.given))) if self.priced else 0.0
+        rest = decisions.cost(given) - decisions.widths_cost(given)
+        return widths + rest + sum(price * outputs[name] for name, price in self.objective.items())
+
+    @property
+    def given(self) -> np.ndarray:
+        """Half-widths (j,) of the given tolerances that have a cost."""
+        return np.array([float(self.population.active[name].half_width) for name in self.priced])
+
     def start(self, decisions: Decisions) -> np.ndarray:
         """Start of the vector of decisions."""
-        half_widths = np.array([float(self.population.active[name].half_width) for name in self.priced])
-        return decisions.vector(half_widths, {name: item.first for name, item in self.variables.items()})
+        return decisions.vector(self.given, {name: item.first for name, item in self.variables.items()})
 
     def margins(self, decisions: Decisions, most: int, *, aimed: bool = True) -> Margins:
         """Constraints on a sample of at most so many units, with targets that a certificate should confirm."""
         count = min(self.samples, most // _COSTLY if self.costly else most)
         limited = self._aimed() if aimed else self.requirements
         return Margins(
-            self.response, decisions, limited, dict(self.objective), self.joint_target, count, self.seed, self.memo
+            self.response, decisions, limited, dict(self.objective), self.joint_target, count, self.seed, self.memo,
+            None if self.costly else self.samples,
         )  # fmt: skip
 
     def _aimed(self) -> dict[str, Limits]:
         """Requirements with targets beyond what a certificate may see by chance."""
-        n, z = self.run.samples, deviate_of(self.run.confidence) + CUSHION
-        found: dict[str, Limits] = {}
-        for name, item in self.requirements.items():
-            if isinstance(item, Requirement) and not item.beyond(n, self.run.confidence):
-                share = item.target + z * math.sqrt(item.target * (1 - item.target) / n)
-                found[name] = dataclasses.replace(item, target=min(share, 1 - 0.5 / n))
-            else:
-                found[name] = item
-        return found
+        n, confidence = self.run.samples, self.run.confidence
+        z = deviate_of(confidence) + CUSHION
+        return {name: item.aimed_beyond(n, z, confidence) for name, item in self.requirements.items()}

@@ -27,6 +27,9 @@ _ROUNDING = 1e-7  # of a bound
 _PLANES = 3  # slopes of earlier points that a margin keeps
 _NEAR = 0.3  # of the radius of a step, by which such a point may lie away, and more
 _NOTHING = 1e-3  # of the sum of slopes, a cost that is next to nothing
+_FLAT = 0.01  # of the cost, savings that are next to none
+_AT = 1e-6  # distance from a bound that is none
+_NO_PRICE = 1e-7  # of the cost, price of a way that is rounding
 _DEAREST = 1e5  # price of an excess, in costs
 
 
@@ -54,10 +57,14 @@ class End:
 
     @property
     def residual(self) -> float:
-        """Largest saving of a single entry that no price accounts for, as a part of all savings."""
+        """Largest saving of a single entry that no price accounts for, as a part of all savings.
+
+        Inside all bounds and limits an optimum has no savings; there the least that counts is a part of the cost.
+        """
         pull = self.point.slopes + self.point.objective_slopes + self.prices @ self.point.jacobian
         left = pull - self.at_low + self.at_high
         total = float(np.abs(self.point.slopes).sum() + np.abs(self.point.objective_slopes).sum())
+        total = max(total, _FLAT * abs(self.point.total))
         return float(np.abs(left).max(initial=0.0)) / total if total > 0 else 0.0
 
     @property
@@ -157,10 +164,18 @@ class Programme:
     def _end(self, best: Local, hessian: np.ndarray, elastic: np.ndarray, settled: bool) -> End:
         """The end, with prices where the step is free to go."""
         free = self._plan(best, hessian, elastic, _NEAR)
-        prices = free.prices[: len(best.margins)]
         x = best.x + free.step
-        at_low = np.where(x <= self.low + 1e-6, free.at_low, 0.0)
-        at_high = np.where(x >= self.high - 1e-6, free.at_high, 0.0)
+        bound = np.where(free.at_low > free.at_high, self.low, self.high)
+        held = (np.abs(x - bound) <= _AT) & (np.abs(best.x - bound) > _AT) & (free.at_low + free.at_high > 0)
+        if held.any():  # a step that gains too little for the search, but a bound has a price
+            there = self.look(np.where(held, bound, best.x))
+            if self._merit(there, elastic) <= self._merit(best, elastic) + self.settled_at * self._size(best):
+                best = there
+                free = self._plan(best, hessian, elastic, _NEAR)
+                x = best.x + free.step
+        prices = np.where(free.prices > _NO_PRICE * self._size(best), free.prices, 0.0)[: len(best.margins)]
+        at_low = np.where(x <= self.low + _AT, free.at_low, 0.0)
+        at_high = np.where(x >= self.high - _AT, free.at_high, 0.0)
         return End(best, prices, at_low, at_high, hessian, settled, self.looks)
 
     # The model.

@@ -22,7 +22,6 @@ from rvjax.tolerances.batch.checkpoint import describe
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.optimum.followed import Followed, followable
 from rvjax.tolerances.optimum.shrinkage import MANY, total_of_many
-from rvjax.tolerances.requirements.kinds import Requirement
 from rvjax.tolerances.requirements.limits import Limits, Pull, along_reach, nearest, tail_quantile
 from rvjax.tolerances.worst_case import Extremes, extremes
 
@@ -225,9 +224,7 @@ class Training:
         joint = None if self.joint_target is None else float(np.quantile(self._joint(rows)[0], self.joint_target))
         found = {}
         for (name, item), row, scale, distance in zip(self.requirements.items(), rows, self.scales, self.distance):
-            assert isinstance(item, Requirement)
-            margins = item.margins(row)
-            levels = [tail_quantile(margins, item.target, float(distance))]
+            levels = [item.learned(row, float(distance))]
             levels += [] if joint is None else [joint * scale]
             found[name] = [
                 end + sign * level

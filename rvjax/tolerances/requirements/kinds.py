@@ -43,6 +43,7 @@ class Requirement(Limits):
         target: share of units, between 0 and 1.
     """
 
+    of_shares: ClassVar[bool] = True
     goal: ClassVar[str | None] = "target"
     judges: ClassVar[str] = "share"
     most_failed: ClassVar[float] = math.inf  # they are rejects
@@ -91,6 +92,13 @@ class Requirement(Limits):
     def beyond(self, samples: int, confidence: float) -> bool:
         """A sample without rejects could not certify the target."""
         return wilson(samples, samples, confidence).lower < self.target
+
+    def aimed_beyond(self, samples: int, deviate: float, confidence: float) -> "Requirement":
+        """The target with `deviate` errors of a share added, unless a probability of failure decides."""
+        if self.beyond(samples, confidence):
+            return self
+        share = self.target + deviate * math.sqrt(self.target * (1 - self.target) / samples)
+        return dataclasses.replace(self, target=min(share, 1 - 0.5 / samples))
 
     def rarely(self, failing: Estimate, trusted: bool) -> Verdict:
         """The whole interval keeps the target, and its value is reliable."""
@@ -234,6 +242,7 @@ class WorstCaseWithin(Limits):
 
     of_units: ClassVar[bool] = False
     of_extremes: ClassVar[bool] = True
+    exact: ClassVar[bool] = True
     power: ClassVar[float] = 1.0
     most_failed: ClassVar[float] = math.inf  # sampled units may lie beyond the limits of the errors
     judges: ClassVar[str] = "response"

@@ -103,7 +103,10 @@ class Limits:
 
     of_units: ClassVar[bool] = True  # a unit beyond the limits is a reject
     limits_values: ClassVar[bool] = True  # its limits are values of the response: a histogram shows them
+    of_shares: ClassVar[bool] = False  # it limits the share of units beyond the limits
     of_extremes: ClassVar[bool] = False  # it limits the worst case; units have no effect
+    of_sample: ClassVar[bool] = True  # errors have an effect; False: it limits an output without errors
+    exact: ClassVar[bool] = False  # its value has no sampling error
     power: ClassVar[float] = 2.0  # of half-widths that add up: 2 as squares, 1 as they are
     most_failed: ClassVar[float] = MOST_FAILED  # share of failed units that its value excludes
     goal: ClassVar[str | None] = None  # the field of the target
@@ -270,6 +273,25 @@ class Limits:
             confidence: of the certificate.
         """
         return False
+
+    def aimed_beyond(self, samples: int, deviate: float, confidence: float) -> "Limits":
+        """Requirement with a target beyond what a certificate may see by chance; itself where it has no share.
+
+        Args:
+            samples: of the certificate.
+            deviate: standard errors of the share.
+            confidence: of the certificate.
+        """
+        return self
+
+    def certified_margin(self, values: np.ndarray, deviate: float) -> float:
+        """Margin of the unit at which costly units would just prove a share; inf where none would.
+
+        Args:
+            values: (n,) of independent units, nan where one failed.
+            deviate: standard errors by which the share must exceed the target.
+        """
+        return math.inf
 
     def rarely(self, failing: Estimate, trusted: bool) -> Verdict:
         """The verdict on a probability of failure.

@@ -11,18 +11,16 @@ from rvjax.tolerances.batch.monte_carlo import Statistics
 from rvjax.tolerances.optimum.certificate import DRAWS, Certifier
 from rvjax.tolerances.optimum.correction import MOST, NEAR, WORTH, Correction
 from rvjax.tolerances.optimum.decisions import Decisions
+from rvjax.tolerances.optimum.ends import STATIONARY, margins_of, prices, stands
 from rvjax.tolerances.optimum.feasibility import Shortage, least_shortage
+from rvjax.tolerances.optimum.found import Found, status_of
+from rvjax.tolerances.optimum.half_widths import HalfWidths
 from rvjax.tolerances.optimum.lists import Lists, Places
 from rvjax.tolerances.optimum.local import Local
 from rvjax.tolerances.optimum.margins import Margins
-from rvjax.tolerances.optimum.nominal import Nominal
 from rvjax.tolerances.optimum.problem import Problem
 from rvjax.tolerances.optimum.programme import End, Programme
-from rvjax.tolerances.optimum.rounding import Rounding
-from rvjax.tolerances.optimum.sample_average import Training
-from rvjax.tolerances.optimum.search import Search
 from rvjax.tolerances.optimum.steps import COARSE, followed, ranges, starts, valleys
-from rvjax.tolerances.requirements.kinds import Requirement
 
 FINE = 4096
 """Units in the tails, at most."""
@@ -31,50 +29,21 @@ _ROUNDS = 3  # of searches, each with its units placed at the end of the one bef
 _STILL = 2e-3  # change of the cost between rounds that ends them, as a part of it
 _MET = 0.01  # excess within the error of the sample
 _SHARPENED, _OTHERS = 2, 16  # searches after such corrections, at most, and times as many units behind each
+_EXACTLY = 1e-9  # excess of a limit without sampling error that is rounding
+_TIMES = 4  # searches that move such a limit in, at most
 _AGAIN = 0.2  # radius of the first step of a search that is repeated
-
-
-@dataclasses.dataclass(frozen=True)
-class Found:
-    """Solution of a problem.
-
-    Attributes:
-        status: as in `Allocation`.
-        decisions: whose vector `x` is.
-        x: (n,) the solution.
-        end: of the search; None where the problem is infeasible.
-        margins: with the correction that the certificate called for.
-        certificate: of the solution.
-        learned: cost before certification.
-        shortage: of an infeasible problem.
-        history: one dict per vector.
-    """
-
-    status: str
-    decisions: Decisions
-    x: np.ndarray
-    end: End | None
-    margins: Margins
-    certificate: Statistics
-    learned: float
-    shortage: Shortage | None
-    history: list[dict[str, Any]]
 
 
 class Designer:
     """Solves one problem."""
 
-    def __init__(self, problem: Problem) -> None:
-        self.problem, self.decisions = problem, problem.decisions()
+    def __init__(self, problem: Problem, decisions: Decisions) -> None:
+        self.problem, self.decisions = problem, decisions
         self.low, self.high = self.decisions.low, self.decisions.high
         self.history: list[dict[str, Any]] = []
-        self.follows = problem.costly and self._only_shares(problem)
+        self.follows = problem.costly and all(i.of_shares or not i.of_sample for i in problem.requirements.values())
         self.certifier = Certifier(problem.run, problem.joint_target, follows=self.follows)
         self.correction = Correction(self.certifier)
-
-    @staticmethod
-    def _only_shares(problem: Problem) -> bool:
-        return all(isinstance(item, (Requirement, Nominal)) for item in problem.requirements.values())
 
     def solution(self) -> Found:
         """The cheapest certified vector, or the least shortage; values of units only where these are few."""
@@ -93,15 +62,33 @@ class Designer:
             begin_programs(self.problem.response, decisions.population(start), slopes=True)
         rivals = self._rivals(start)
         margins.begin(rivals[0])
-        end = self._best([self._searched(margins, x) for x in rivals])
+        end = self._best(margins, [self._searched(margins, x) for x in rivals])
         if lists.entries:
             end = self._listed(margins, lists, end.point.x)
-        if end.excess > _MET:
+        if not self._met(margins, end):
             shortage = self._shortage(margins, [end.point.x, start])
             if shortage.total > _MET:
                 return self._refused(margins, shortage)
             end = self._searched(margins, shortage.x)
+            if (margins.missed(end.point) > _EXACTLY).any():
+                return self._refused(margins, shortage)
+        if not self.problem.costly and self.decisions.fields and not stands(margins, self.decisions, end):
+            return self._by_values(end)
         return self._certified(margins, end)
+
+    def _met(self, margins: Margins, end: End) -> bool:
+        """True if an end keeps the limits of the sample within its error, and the others exactly."""
+        return end.excess <= _MET and not (margins.missed(end.point) > _EXACTLY).any()
+
+    def _by_values(self, end: End) -> Found:
+        """Solution where derivatives of units mislead: by values alone, at the mid-points and numbers of an end.
+
+        Other mid-points and numbers were not compared by values, so that with some of these it is not the cheapest.
+        """
+        found = HalfWidths(self.problem, self.decisions, end.point.x, self.certifier).solution()
+        others = self.decisions.size > len(self.decisions.fields)
+        status = "MAX_STEPS" if others and found.status == "OPTIMAL" else found.status
+        return dataclasses.replace(found, status=status, history=self.history + found.history)
 
     def _listed(self, margins: Margins, lists: Lists, x: np.ndarray) -> End:
         """The best end with numbers of lists, from the end x without them."""
@@ -112,7 +99,7 @@ class Designer:
             return self._searched(margins, x) if again else self._run(margins, x, 1.0)
 
         def worth(end: End) -> tuple[bool, float]:
-            met = end.excess <= _MET
+            met = self._met(margins, end)
             return not met, end.point.total if met else end.excess
 
         if np.isfinite(margins.look(x).margins).all():
@@ -139,6 +126,7 @@ class Designer:
         exact = self.problem.margins(self.decisions, FINE, aimed=False)
         exact.begin(several[0])
         exact.ways = margins.ways
+        exact.offsets[:] = 0.0
         return least_shortage(
             exact, self.decisions, several[: 1 if self.follows else None], self.low, self.high, self.problem.max_steps,
             follows=self.follows,
@@ -158,6 +146,17 @@ class Designer:
         return end
 
     def _run(self, margins: Margins, x: np.ndarray, radius: float = _AGAIN, curvature: np.ndarray | None = None) -> End:
+        """End of a search; where it misses a limit without sampling error by a step's accuracy, that limit moves in."""
+        end = self._run_once(margins, x, radius, curvature)
+        for _ in range(_TIMES):
+            missed = np.maximum(margins.missed(end.point), 0.0)
+            if not 0 < missed.max(initial=0.0) < _MET:
+                break
+            margins.offsets[margins.exact] += 2 * missed * margins.ways[margins.exact]
+            end = self._run_once(margins, end.point.x, _AGAIN, end.curvature)
+        return end
+
+    def _run_once(self, margins: Margins, x: np.ndarray, radius: float, curvature: np.ndarray | None) -> End:
         if self.follows:
             look = lambda x: self._noted(margins, x)  # noqa: E731
             return followed(margins, look, self.low, self.high, x, self.problem.max_steps, curvature)
@@ -175,9 +174,8 @@ class Designer:
         self.history.append(dict(cost=point.total, margins=named, half_widths=widths, values=decisions.values(x)))
         return point
 
-    @staticmethod
-    def _best(ends: list[End]) -> End:
-        met = [end for end in ends if end.excess <= _MET]
+    def _best(self, margins: Margins, ends: list[End]) -> End:
+        met = [end for end in ends if self._met(margins, end)]
         return min(met, key=lambda end: end.point.total) if met else min(ends, key=lambda end: end.excess)
 
     # Certificates.
@@ -185,7 +183,7 @@ class Designer:
     def _certified(self, margins: Margins, end: End) -> Found:
         """The end of a search, corrected by certificates until one holds with a small margin."""
         end = self._sharpened(margins, end)
-        certifier, decisions, learned = self.certifier, self.decisions, end.point.total
+        certifier, decisions, learned = self.certifier, self.decisions, self._learned(margins, end)
         kept: tuple[End, Statistics] | None = None
         certificate = self._drawn(end.point.x)
         for _ in range(DRAWS - 1):
@@ -206,12 +204,25 @@ class Designer:
         x = end.point.x
         if kept is None and not certifier.hopeless():
             x, certificate = self._tightened(x, certificate)
-        status = "OPTIMAL" if end.settled and end.excess <= _MET else "MAX_STEPS"
-        if margins.total(x) > learned + 0.2 * abs(learned):
-            status = "SUBOPTIMAL"
-        if not certifier.holds(certificate) or end.excess > _MET:
-            status = "NOT_CERTIFIED"
-        return Found(status, decisions, x, end, margins, certificate, learned, None, self.history)
+        cost, stationary = margins.total(x), end.residual <= STATIONARY
+        status = status_of(
+            certified=certifier.holds(certificate) and end.excess <= _MET,
+            exact=not (margins.missed(end.point) > _EXACTLY).any(), cost=cost, learned=learned,
+            settled=end.settled, stationary=stationary,
+        )  # fmt: skip
+        reached, slopes = margins_of(margins, decisions, end)
+        return Found(
+            status, decisions, x, certificate, learned, cost, prices(margins, end, x), {}, end.residual, end.settled,
+            stationary, margins.evaluated, self.history, end, None, reached, slopes,
+        )  # fmt: skip
+
+    def _learned(self, margins: Margins, end: End) -> float:
+        """Cost at an end without what its targets have beyond those of the requirements, by the prices."""
+        total = end.point.total
+        if not self._met(margins, end):
+            return total
+        spared = float(end.prices @ margins.spared(end.point.x, self.problem.requirements))
+        return total * math.exp(-spared / total) if total > 0 else total - spared
 
     def _sharpened(self, margins: Margins, end: End) -> End:
         """The end of a search, its margins corrected by many other units in the tails: a certificate costs more."""
@@ -239,27 +250,12 @@ class Designer:
         """Half-widths made smaller at these numbers until a certificate holds; the last one otherwise."""
         if not self.decisions.fields:
             return x, certificate
-        search = self._search(x)
+        search = HalfWidths(self.problem, self.decisions, x, self.certifier).search
         point = search.look(self.decisions.half_widths(x))
         if not np.isfinite(point.margins).all():
             return x, certificate
         half_widths, drawn = self.certifier.settle(search, point)
-        return self._with(x, half_widths), drawn
-
-    def _with(self, x: np.ndarray, half_widths: np.ndarray) -> np.ndarray:
-        found = x.copy()
-        found[: len(half_widths)] = np.log(half_widths)
-        return found
-
-    def _search(self, x: np.ndarray) -> Search:
-        """Search for half-widths at constant mid-points and numbers."""
-        problem = self.problem
-        limited = {n: i for n, i in problem.requirements.items() if not isinstance(i, Nominal)}
-        training = Training(
-            problem.response, self.decisions.population(x), tuple(problem.priced), limited, problem.joint_target,
-            problem.samples, problem.seed, problem.memo,
-        )  # fmt: skip
-        return Search(training, problem.priced, problem.max_steps, problem.advance)
+        return self.decisions.with_half_widths(x, half_widths), drawn
 
     def ranges(self, found: Found) -> dict[str, tuple[float, float]]:
         """Values of each number with which the cost stays within 0.5 %; none where units are costly."""
@@ -271,14 +267,7 @@ class Designer:
 
     def graded(self, found: Found) -> tuple[Found, dict[str, str]]:
         """The solution with half-widths rounded to grades at its mid-points and numbers."""
-        search = self._search(found.x)
-        half_widths = self.decisions.half_widths(found.x)
-        t, grades, certificate = Rounding(search, self.certifier, self.problem.priced).graded(
-            half_widths, found.certificate
-        )
-        status = "OPTIMAL" if self.certifier.holds(certificate) else "NOT_CERTIFIED"
-        there = dataclasses.replace(found, x=self._with(found.x, t), certificate=certificate, status=status)
-        return there, grades
+        return HalfWidths(self.problem, self.decisions, found.x, self.certifier).graded(found)
 
     def _refused(self, margins: Margins, shortage: Shortage) -> Found:
         """The solution where no vector meets all requirements.
@@ -286,6 +275,11 @@ class Designer:
         A smoothed quantile is too wide where units crowd at a limit. So a certificate that holds there decides.
         """
         x, certificate = shortage.x, self._drawn(shortage.x)
-        held, total = self.certifier.holds(certificate), margins.total(x)
+        exact = not (margins.missed(margins.look(x, sloped=False)) > _EXACTLY).any()
+        held, total = self.certifier.holds(certificate) and exact, margins.total(x)
         status, missed = ("SUBOPTIMAL", None) if held else ("INFEASIBLE", shortage)
-        return Found(status, self.decisions, x, None, margins, certificate, total, missed, self.history)
+        nothing = dict.fromkeys(margins.requirements, math.nan if held else 0.0)
+        return Found(
+            status, self.decisions, x, certificate, total, total, nothing, {} if held else shortage.by_name, math.nan,
+            True, True, margins.evaluated, self.history, None, missed,
+        )  # fmt: skip

@@ -1,0 +1,74 @@
+"""Solution of a problem, and the status that it deserves: the one place where an end is called OPTIMAL."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from rvjax.tolerances.batch.monte_carlo import Statistics
+from rvjax.tolerances.optimum.decisions import Decisions
+from rvjax.tolerances.optimum.feasibility import Shortage
+from rvjax.tolerances.optimum.programme import End
+
+DEARER = 0.2  # than learned, as a part of that cost: what is certified at more is not called the cheapest
+
+
+@dataclasses.dataclass(frozen=True)
+class Found:
+    """Solution of a problem.
+
+    Attributes:
+        status: as in `Allocation`.
+        decisions: whose vector `x` is.
+        x: (n,) the solution.
+        certificate: of the solution.
+        learned: cost before certification.
+        cost: of the solution, with the objective.
+        prices: {requirement: reduction of the cost per outward move of its limits}, nan where nothing was searched.
+        shortfall: {requirement: distance by which its limits must move outwards}.
+        residual: of the conditions of an optimum.
+        settled: no limit of steps ended the search.
+        stationary: the residual is small, or a search by values was exhausted.
+        evaluated: units that the search solved.
+        history: one dict per vector.
+        end: of a programme on all decisions, None without one.
+        shortage: of an infeasible problem with decisions beside half-widths.
+        margins: {requirement: margin at the end of the programme}, with its derivatives in `slopes`.
+        slopes: {requirement: {field or number: derivative}}.
+    """
+
+    status: str
+    decisions: Decisions
+    x: np.ndarray
+    certificate: Statistics
+    learned: float
+    cost: float
+    prices: dict[str, float]
+    shortfall: dict[str, float]
+    residual: float
+    settled: bool
+    stationary: bool
+    evaluated: int
+    history: list[dict[str, Any]]
+    end: End | None = None
+    shortage: Shortage | None = None
+    margins: dict[str, float] = dataclasses.field(default_factory=dict)
+    slopes: dict[str, dict[str, float]] = dataclasses.field(default_factory=dict)
+
+
+def status_of(*, certified: bool, exact: bool, cost: float, learned: float, settled: bool, stationary: bool) -> str:
+    """Status of an end.
+
+    Args:
+        certified: the certificate of this end holds.
+        exact: every limit without sampling error is met there: outputs without errors, worst cases.
+        cost: of this end.
+        learned: cost before certification.
+        settled: no limit of steps ended the search.
+        stationary: the residual of the conditions of an optimum is small, or differences along rays were exhausted.
+    """
+    if not (certified and exact):
+        return "NOT_CERTIFIED"
+    if cost > learned + DEARER * abs(learned):
+        return "SUBOPTIMAL"
+    return "OPTIMAL" if settled and stationary else "MAX_STEPS"
