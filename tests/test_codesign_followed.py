@@ -151,7 +151,7 @@ def test_a_step_that_turns_out_dearer_is_not_taken(start):
             at, nothing = self.anchor.x, np.zeros(1)
             slope = 2 * (at - 0.5)
             cost = 1.0 + float((at - 0.5) @ (at - 0.5) + slope @ (x - at))
-            return Local(x, cost, slope, nothing, 0.0, nothing, np.zeros(0), np.zeros((0, 1)))
+            return Local(x, cost, slope, nothing, 0.0, nothing, np.zeros(0), np.zeros((0, 1)), np.zeros(0))
 
     line = Tangent()
     end = steps.followed(line, line.look, np.zeros(1), np.ones(1), np.array([start]), 30)

@@ -304,7 +304,7 @@ def test_certified_grades_are_the_result_where_free_half_widths_are_not_certifie
     monkeypatch.setattr(Certifier, "settle", above)
     monkeypatch.setattr(Certifier, "polished", lambda self, search, point, *found: found)
     monkeypatch.setattr(Search, "promising", lambda *_: False)
-    requirement = Requirement(lower=-LIMIT, upper=LIMIT)
+    requirement = Requirement(lower=-1.4 * LIMIT, upper=1.4 * LIMIT)
     bare = allocate(linear, sized, requirement, **CERTIFIED)
     assert bare.status == "NOT_CERTIFIED" and bare.certificate.yield_.lower < 0.9973
     found = allocate(linear, sized, requirement, grades=True, **CERTIFIED)

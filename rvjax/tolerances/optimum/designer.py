@@ -11,7 +11,7 @@ from rvjax.tolerances.batch.monte_carlo import Statistics
 from rvjax.tolerances.optimum.certificate import DRAWS, Certifier
 from rvjax.tolerances.optimum.correction import MOST, NEAR, WORTH, Correction
 from rvjax.tolerances.optimum.decisions import Decisions
-from rvjax.tolerances.optimum.ends import STATIONARY, margins_of, prices, stands
+from rvjax.tolerances.optimum.ends import STATIONARY, confirmed, margins_of, prices
 from rvjax.tolerances.optimum.feasibility import Shortage, least_shortage
 from rvjax.tolerances.optimum.found import Found, status_of
 from rvjax.tolerances.optimum.half_widths import HalfWidths
@@ -72,7 +72,7 @@ class Designer:
             end = self._searched(margins, shortage.x)
             if (margins.missed(end.point) > _EXACTLY).any():
                 return self._refused(margins, shortage)
-        if not self.problem.costly and self.decisions.fields and not stands(margins, self.decisions, end):
+        if not self.problem.costly and self.decisions.fields and not confirmed(margins, self.decisions, end):
             return self._by_values(end)
         return self._certified(margins, end)
 
@@ -229,7 +229,7 @@ class Designer:
         if self.problem.costly or not self.problem.requirements:
             return end
         for _ in range(_SHARPENED):
-            own = end.point.margins - margins.offsets / margins.ways
+            own = end.point.margins - end.point.moved
             seen = margins.of_others(end.point.x, _OTHERS)
             moved = {k: margin - own[k] for k, margin in seen.items() if own[k] > -NEAR and math.isfinite(margin)}
             for k, by in moved.items():

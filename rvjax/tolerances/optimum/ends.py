@@ -1,4 +1,4 @@
-"""What the end of a programme says: prices, margins with their derivatives, and whether it stands up to an audit."""
+"""What the end of a programme says: prices, margins with their derivatives, and whether an audit confirms it."""
 
 import math
 
@@ -28,7 +28,7 @@ def prices(margins: Margins, end: End, x: np.ndarray) -> dict[str, float]:
         x: the solution.
     """
     found = dict.fromkeys(margins.requirements, 0.0)
-    kept = 1 - margins.offsets / (margins.ways * margins.central_ways(x))
+    kept = 1 - end.point.moved / margins.central_ways(x)
     kept[margins.exact] = 1.0
     for name, price, way, part in zip(margins.names, end.prices, margins.ways, kept):
         if name in found:
@@ -58,10 +58,11 @@ def margins_of(
     return values, slopes
 
 
-def stands(margins: Margins, decisions: Decisions, end: End) -> bool:
+def confirmed(margins: Margins, decisions: Decisions, end: End) -> bool:
     """Audit of an end: prices account for all savings, and the sample moves as its slopes predict.
 
-    Every half-width grows alone, of many fields a few together. Units that fail, or a response in steps, show by margins that jump or stay.
+    Every half-width grows alone, of many fields a few together. Units that fail, or a response in steps, show by
+    margins that jump or stay.
     """
     if end.residual > STATIONARY:
         return False

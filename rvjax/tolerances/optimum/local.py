@@ -18,6 +18,7 @@ class Local:
         objective_slopes: (n,) their derivatives.
         margins: (c,) of the constraints, in parts of their ways; <= 0 is met.
         jacobian: (c, n) their derivatives.
+        moved: (c,) corrections in these margins, in parts of their ways.
     """
 
     x: np.ndarray
@@ -28,6 +29,7 @@ class Local:
     objective_slopes: np.ndarray
     margins: np.ndarray
     jacobian: np.ndarray
+    moved: np.ndarray
 
     @property
     def total(self) -> float:

@@ -208,12 +208,20 @@ class Margins:
         towards = sum((p * decisions.by_number(rates[name]) for name, p in self.objective.items()), np.zeros(n))
         margins = (margins + self.offsets) / self.ways
         return Local(
-            x, decisions.cost(x), slopes, bends, float(priced), towards, margins, jacobian / self.ways[:, None]
+            x,
+            decisions.cost(x),
+            slopes,
+            bends,
+            float(priced),
+            towards,
+            margins,
+            jacobian / self.ways[:, None],
+            self.offsets / self.ways,
         )
 
     def missed(self, point: Local) -> np.ndarray:
         """Excess (e,) of the limits without sampling error, in parts of their ways."""
-        return point.margins[self.exact] - self.offsets[self.exact] / self.ways[self.exact]
+        return (point.margins - point.moved)[self.exact]
 
     def of_others(self, x: np.ndarray, times: int) -> dict[int, float]:
         """{row: margin in parts of its way, without correction} on shares, of so many times as many other units."""
