@@ -1,4 +1,4 @@
-"""What the end of a programme says: prices, margins with their derivatives, and whether an audit confirms it."""
+"""End of a programme: prices of the requirements, margins with their derivatives, and an audit."""
 
 import math
 

@@ -32,7 +32,7 @@ class Found:
         evaluated: units that the search solved.
         history: one dict per vector.
         end: of a programme on all decisions, None without one.
-        shortage: of an infeasible problem with decisions beside half-widths.
+        shortage: of an infeasible problem that a programme searched.
         margins: {requirement: margin at the end of the programme}, with its derivatives in `slopes`.
         slopes: {requirement: {field or number: derivative}}.
     """
