@@ -44,6 +44,7 @@ class _Given(NamedTuple):
 _FLAT = 0.02  # gradient of a minimum, as a part of all costs: J exceeds the least by about its square
 _SAMPLES = 16  # independent ones that estimate the end
 _PEAK = 0.1  # rate of adam: with a cosine decay 400 steps move a half-width by up to e^20
+_MEMORY = 0.95  # of squared slopes: from starts 30 times too coarse 400 steps end within 0.4 %; with 0.999 145 % off
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,7 +96,7 @@ def minimise(
             unit fails. `half_widths` is a dict of numbers by field, SI.
         response: pure function of the errors of one unit; a scalar, a dict or record of scalars, or `Outcome`.
         tolerances: record or dict with a `Tolerance` or None in each field; the optimiser starts there.
-        costs: record or dict with a cost for each field that has a tolerance.
+        costs: record or dict with a cost for each field that has a tolerance, or None to keep its half-width.
         optimizer: of optax, on the logarithms of the half-widths; None is adam with a cosine decay. One that searches
             along lines, such as `optax.lbfgs()`, needs `fresh=False`.
         samples: units of one sample, at least 100.
@@ -113,13 +114,12 @@ def minimise(
     """
     import optax  # takes 0.2 s
 
-    if optimizer is None:
-        optimizer = _adam(steps)
-    elif not isinstance(optimizer, optax.GradientTransformation):
+    if not (optimizer is None or isinstance(optimizer, optax.GradientTransformation)):
         raise ValueError(f"optimizer = {optimizer!r}: must be an optax.GradientTransformation")
     population = Population.of(tolerances)
     priced = costs_by_field(costs, population.active)
-    _check(population, priced, samples=samples, steps=steps)
+    _check(population, costs, priced, samples=samples, steps=steps)
+    optimizer = optimizer or _adam(steps)
     sampled = _Sampled(objective, response, population, priced, samples)
     with progress_bar(progress, steps + _SAMPLES, "minimising", "step") as advance:
         x, history, finite = _descend(sampled, optimizer, steps, seed, fresh, advance)
@@ -130,10 +130,11 @@ def minimise(
     return _minimum(sampled, x, history, steps if finite else len(history) - 1, looks)
 
 
-def _check(population: Population, priced: Mapping[str, Cost], **counts: int) -> None:
+def _check(population: Population, costs: Any, priced: Mapping[str, Cost], **counts: int) -> None:
     for name in population.active:
-        if name not in priced:
-            raise ValueError(f"costs: {name!r} has none; a cost with finest = coarsest keeps its half-width")
+        given = costs.get(name, 0.0) if isinstance(costs, Mapping) else getattr(costs, name, 0.0)
+        if name not in priced and given is not None:
+            raise ValueError(f"costs: {name!r} has a tolerance and no cost; give None to keep its half-width")
     for name, value in counts.items():
         least = FEWEST if name == "samples" else 1
         if value < least:
@@ -145,7 +146,7 @@ def _adam(steps: int) -> "optax.GradientTransformation":
     """Adam whose rate decays to 0 over so many steps; one object, so that its program is compiled once."""
     import optax
 
-    return optax.adam(optax.cosine_decay_schedule(_PEAK, max(steps, 1)))
+    return optax.adam(optax.cosine_decay_schedule(_PEAK, steps), b2=_MEMORY)
 
 
 class _Sampled:
@@ -269,7 +270,8 @@ def _step(
 
     total = _total(response, given, z, fields, objective)
     update = optax.with_extra_args_support(optimizer).update
-    moved, state = update(slope, state, x, value=value, grad=slope, value_fn=lambda x: total(x)[0])
+    with jax.numpy_dtype_promotion("standard"):  # optax raises numbers to powers of its counts
+        moved, state = update(slope, state, x, value=value, grad=slope, value_fn=lambda x: total(x)[0])
     return state, jnp.clip(x + moved, given.low, given.high)
 
 
