@@ -206,6 +206,15 @@ def _check(required: dict[str, Limits], joint_target: float | None, **counts: in
         raise ValueError(f"joint_target = {joint_target!r}: must lie between 0 and 1")
     if joint_target is not None and not any(item.of_units for item in required.values()):
         raise ValueError(f"joint_target = {joint_target!r}: no requirement is for single units")
+    check_counts(**counts)
+
+
+def check_counts(**counts: int) -> None:
+    """Raise ValueError for fewer than 100 `samples`, or less than 1 of something else.
+
+    Args:
+        **counts: by the name of the argument.
+    """
     for name, value in counts.items():
         least = FEWEST if name == "samples" else 1
         if value < least:

@@ -21,7 +21,7 @@ from rvjax.population import Estimate, Population, drawn, of_groups, root_key, s
 from rvjax.records import PyTree
 from rvjax.response import Response, Values, evaluate, per_response, unwrapped
 from rvjax.status import SolveInfo, Status, succeeded
-from rvjax.tolerances.allocating import FEWEST, costs_by_field
+from rvjax.tolerances.allocating import check_counts, costs_by_field
 from rvjax.tolerances.allocation.conlin import total_cost
 from rvjax.tolerances.allocation.cost import Cost
 
@@ -135,10 +135,7 @@ def _check(population: Population, costs: Any, priced: Mapping[str, Cost], **cou
         given = costs.get(name, 0.0) if isinstance(costs, Mapping) else getattr(costs, name, 0.0)
         if name not in priced and given is not None:
             raise ValueError(f"costs: {name!r} has a tolerance and no cost; give None to keep its half-width")
-    for name, value in counts.items():
-        least = FEWEST if name == "samples" else 1
-        if value < least:
-            raise ValueError(f"{name} = {value!r}: must be at least {least}")
+    check_counts(**counts)
 
 
 @functools.lru_cache(32)
@@ -168,7 +165,7 @@ class _Sampled:
         return drawn(self.population, root_key(seed), np.uint32(number * self.samples % 2**32), count=self.samples)
 
     def look(self, x: jax.Array, z: jax.Array) -> _Look:
-        """J, its gradient without slopes that lead beyond the ends, and the number of failed units."""
+        """J, its gradient, and the number of failed units."""
         return _look(self.response, self.given, x, z, **self._options)
 
     def step(
@@ -207,7 +204,7 @@ def _descend(
         history.append(float(value))
         if step == 0 and not math.isfinite(history[0]):
             count = f"{int(failed)} of {sampled.samples} units fail"
-            raise ValueError(f"objective + costs = {history[0]:.6g} at the start: must be finite; {count}")
+            raise ValueError(f"objective = {history[0]:.6g} at the start: must be finite; {count}")
         if not (math.isfinite(history[-1]) and np.isfinite(slope).all()):
             return x, history, False
         state, x = sampled.step(optimizer, state, x, z, look)
@@ -226,8 +223,9 @@ def _minimum(
     values, slopes = (np.array(rows, float) for rows in zip(*looks)) if looks else (np.array([math.nan]),) * 2
     if np.isfinite(values).all() and np.isfinite(slopes).all():
         value = of_groups(values, float(values.mean()), 0.95)
-        length = float(np.linalg.norm(slopes.mean(axis=0))) / cost
-        error = math.sqrt(float(slopes.var(axis=0, ddof=1).sum()) / len(slopes)) / cost
+        mean = np.asarray(_inwards(jnp.asarray(slopes.mean(axis=0)), x, sampled.given))
+        length = float(np.linalg.norm(mean)) / cost
+        error = math.sqrt(float(slopes.var(axis=0, ddof=1)[mean != 0].sum()) / len(slopes)) / cost
         sides = Estimate.about(length, error, student(0.95, len(slopes)))
         gradient = dataclasses.replace(sides, lower=max(0.0, sides.lower))
         status = Status.CONVERGED if length < _FLAT + 3 * error else Status.MAX_STEPS
@@ -248,8 +246,7 @@ def _look(
 ) -> _Look:
     total = _total(response, given, z, fields, objective)
     (value, failed), slope = jax.value_and_grad(total, has_aux=True)(x)
-    outwards = ((x <= given.low) & (slope > 0)) | ((x >= given.high) & (slope < 0))
-    return value, jnp.where(outwards, 0, slope), failed
+    return value, slope, failed
 
 
 @per_response(static=("fields", "objective", "optimizer"))
@@ -268,11 +265,17 @@ def _step(
 ) -> tuple[PyTree, jax.Array]:
     import optax
 
-    total = _total(response, given, z, fields, objective)
+    total, slope = _total(response, given, z, fields, objective), _inwards(slope, x, given)
     update = optax.with_extra_args_support(optimizer).update
     with jax.numpy_dtype_promotion("standard"):  # optax raises numbers to powers of its counts
         moved, state = update(slope, state, x, value=value, grad=slope, value_fn=lambda x: total(x)[0])
     return state, jnp.clip(x + moved, given.low, given.high)
+
+
+def _inwards(slope: jax.Array, x: jax.Array, given: _Given) -> jax.Array:
+    """Slopes, 0 where a step against them leads beyond the ends."""
+    outwards = ((x <= given.low) & (slope > 0)) | ((x >= given.high) & (slope < 0))
+    return jnp.where(outwards, 0, slope)
 
 
 def _total(
@@ -305,7 +308,9 @@ def _objective(objective: Objective, values: Values, half_widths: dict[str, jax.
             raise
         rule = " is no name of the response or of a field; these are"
         raise unknown(f"objective: {key!r}", key, names, rule) from None
-    number = jnp.asarray(math.nan if value is None else value)
+    if value is None:
+        raise ValueError("objective: must return one real number, got None")
+    number = jnp.asarray(value)
     if number.shape or not jnp.issubdtype(number.dtype, jnp.floating):
         raise ValueError(f"objective: must return one real number, got shape {number.shape} {number.dtype}")
     return number
