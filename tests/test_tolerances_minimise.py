@@ -86,7 +86,7 @@ def of_normal():
 
 
 def check_closed_form(found, spread, fourth):
-    """With the fourth moment of a standardised error over that of a normal one, less 3: 0, or -1.2 of uniform errors."""
+    """With the fourth moment of a standardised error less 3: 0 of normal errors, -1.2 of uniform ones."""
     h = vector(found)
     np.testing.assert_allclose(h, optimum(spread), rtol=0.01)
     assert exact(h, spread) == pytest.approx(exact(optimum(spread), spread), rel=0.002)
