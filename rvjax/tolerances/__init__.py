@@ -34,6 +34,8 @@ from rvjax.tolerances.influence import (
     Influence as Influence,
     influences as influences,
 )
+from rvjax.tolerances.loss import QuadraticLoss
+from rvjax.tolerances.minimise import Minimum, minimise
 from rvjax.tolerances.moments import Moments, rss
 from rvjax.tolerances.optimum.cost import COSTS as COSTS, Cost as Cost, Exponential, ReciprocalPower, Table
 from rvjax.tolerances.optimum.nominal import Nominal
@@ -66,10 +68,12 @@ __all__ = [
     "MeasuredColumn",
     "MeasuredParts",
     "Middle",
+    "Minimum",
     "Moments",
     "Nominal",
     "Origin",
     "Outcome",
+    "QuadraticLoss",
     "ReciprocalPower",
     "Requirement",
     "SdAtMost",
@@ -89,6 +93,7 @@ __all__ = [
     "it_width",
     "load",
     "measured",
+    "minimise",
     "monte_carlo",
     "origin",
     "rss",

@@ -6,6 +6,7 @@ from typing import Any, cast
 
 import jax
 
+from rvjax._ground.choices import unknown
 from rvjax._ground.progress import progress_bar
 from rvjax._jax.arguments import checked
 from rvjax.population import Correlation, Population, Tolerance
@@ -144,7 +145,7 @@ def allocated(
     names = response_names(response, population)
     required = by_response(requirements, names, Limits, "requirements")
     _check(required, joint_target, samples=samples, certificate_samples=certificate_samples, max_steps=max_steps)
-    priced = _costs_by_field(costs, population.active, needed=not variables)
+    priced = costs_by_field(costs, population.active, needed=not variables)
     check_middles(middles or {}, population.active)
     judged = {name: item for name, item in required.items() if item.of_sample}
     with progress_bar(progress, None, "searching", "step") as advance:
@@ -191,14 +192,32 @@ def _check(required: dict[str, Limits], joint_target: float | None, **counts: in
         raise ValueError(f"joint_target = {joint_target!r}: must lie between 0 and 1")
     if joint_target is not None and not any(item.of_units for item in required.values()):
         raise ValueError(f"joint_target = {joint_target!r}: no requirement is for single units")
+    check_counts(**counts)
+
+
+def check_counts(**counts: int) -> None:
+    """Raise ValueError for fewer than 100 `samples`, or less than 1 of something else.
+
+    Args:
+        **counts: by the name of the argument.
+    """
     for name, value in counts.items():
         least = FEWEST if name == "samples" else 1
         if value < least:
             raise ValueError(f"{name} = {value!r}: must be at least {least}")
 
 
-def _costs_by_field(costs: Any, active: Mapping[str, Tolerance], *, needed: bool = True) -> dict[str, Cost]:
-    """Costs of the active fields, in their order."""
+def costs_by_field(costs: Any, active: Mapping[str, Tolerance], *, needed: bool = True) -> dict[str, Cost]:
+    """Costs of the active fields, in their order.
+
+    Args:
+        costs: as in `allocate`.
+        active: fields that have a tolerance.
+        needed: whether a field must have one.
+
+    Raises:
+        ValueError: another structure, something that is no cost, or a name without a tolerance.
+    """
     if not isinstance(costs, (Mapping, Record)) or isinstance(costs, Cost):
         raise ValueError(f"costs: must be a record or a dict of costs by field, got {type(costs).__name__}")
     leaves, _ = jax.tree_util.tree_flatten_with_path(costs, is_leaf=lambda item: item is None or isinstance(item, Cost))
@@ -210,7 +229,7 @@ def _costs_by_field(costs: Any, active: Mapping[str, Tolerance], *, needed: bool
             laws = ", ".join(law.__name__ for law in COSTS.values())
             raise ValueError(f"costs: {name} = {cost!r}: must be one of {laws}")
         if name not in active:
-            raise ValueError(f"costs: {name!r} has no tolerance; these have: {', '.join(active)}")
+            raise unknown(f"costs: {name!r}", name, active, " has no tolerance; these have:")
     priced = {name: given[name] for name in active if isinstance(given.get(name), Cost)}
     if needed and not priced:
         raise ValueError("costs: no field has a cost, so there is nothing to allocate")
