@@ -5,6 +5,7 @@ import dataclasses
 import functools
 import importlib
 import inspect
+import json
 import re
 import subprocess
 from pathlib import Path
@@ -260,6 +261,43 @@ def test_every_record_declares_unit_and_meaning():
             assert f.metadata["meaning"] and f.metadata["unit"], f"{cls.__name__}.{f.name}"
             seen += 1
     assert seen > 50
+
+
+def missing(source):
+    """Names of rvjax that do not exist among those that code imports, or takes from a module that it imports."""
+    tree, names, found = ast.parse(source), {}, []
+
+    def value(node):
+        """Object that a dotted name stands for, looked up in modules only; else None."""
+        above = value(node.value) if isinstance(node, ast.Attribute) else None
+        return getattr(above, node.attr, None) if inspect.ismodule(above) else names.get(getattr(node, "id", None))
+
+    for node in ast.walk(tree):
+        home = f"from {node.module} " if isinstance(node, ast.ImportFrom) else ""
+        for alias in node.names if isinstance(node, (ast.Import, ast.ImportFrom)) else ():
+            statement = f"{home}import {ast.unparse(alias)}"
+            if re.match(r"(from|import) rvjax\b", statement):
+                try:
+                    exec(statement, names)
+                except ImportError:
+                    found.append(statement)
+    for node in ast.walk(tree):
+        above = value(node.value) if isinstance(node, ast.Attribute) else None
+        if inspect.ismodule(above) and not hasattr(above, node.attr):
+            found.append(f"{above.__name__}.{node.attr}")
+    return sorted(found)
+
+
+def test_notebooks_take_from_the_package_what_it_has():
+    """A name that moved fails here, long before the notebooks run."""
+    moved = "from rvjax.tolerances import gone, sample\nfrom rvjax import plotting as p, study\nimport rvjax.gone\n"
+    used = "p.four_bar.turns({}); p.four_bar.gone(study.load('x').gone); rvjax.gone()"
+    expected = ["from rvjax.tolerances import gone", "import rvjax.gone", "rvjax.plotting.four_bar.gone"]
+    assert missing(f"{moved}{used}") == expected
+    for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        cells = json.loads(path.read_text("utf-8"))["cells"]
+        code = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+        assert "import rvjax\n" in code and missing(code) == [], path.name
 
 
 def test_readme_begins_with_the_two_commands():
