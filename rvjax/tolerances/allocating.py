@@ -14,6 +14,7 @@ from rvjax.records import Record
 from rvjax.response import BLOCK, DesignResponse, Response, by_response, response_names, unwrapped
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.batch.monte_carlo import Run, Statistics
+from rvjax.tolerances.loss import QuadraticLoss
 from rvjax.tolerances.optimum.certificate import Certifier
 from rvjax.tolerances.optimum.cost import COSTS, Cost
 from rvjax.tolerances.optimum.designer import Designer
@@ -66,6 +67,7 @@ def allocate(
     middles: Mapping[str, Middle] | None = None,
     variables: Mapping[str, Variable] | None = None,
     objective: Mapping[str, float] | None = None,
+    losses: Any = None,
     memo: Memo | None = None,
     progress: bool = False,
 ) -> Allocation:
@@ -100,6 +102,8 @@ def allocate(
         variables: {name: Variable} of numbers of the design that are chosen too. The response is then
             response(errors, values), values a dict of scalars by name.
         objective: {output: price per unit} of outputs without errors that add to the cost.
+        losses: `QuadraticLoss`, or a dict of them by name of the response: their mean over the units adds to the
+            cost. With losses `requirements` may be {}.
         memo: stores long computations, so that an interrupted allocation resumes from there.
         progress: show progress bars.
 
@@ -114,7 +118,7 @@ def allocate(
         cast(Response, response), tolerances, requirements, costs=costs, samples=samples, seed=seed,
         joint_target=joint_target, correlation=correlation, certificate_samples=certificate_samples,
         confidence=confidence, grades=grades, max_steps=max_steps, middles=middles, variables=variables,
-        objective=objective, memo=memo, progress=progress,
+        objective=objective, losses=losses, memo=memo, progress=progress,
     )[0]  # fmt: skip
 
 
@@ -135,6 +139,7 @@ def allocated(
     middles: Mapping[str, Middle] | None = None,
     variables: Mapping[str, Variable] | None = None,
     objective: Mapping[str, float] | None = None,
+    losses: Any = None,
     memo: Memo | None = None,
     progress: bool = False,
 ) -> tuple[Allocation, Solved | None]:
@@ -144,7 +149,8 @@ def allocated(
         population = with_values(response, population, variables or {})
     names = response_names(response, population)
     required = by_response(requirements, names, Limits, "requirements")
-    _check(required, joint_target, samples=samples, certificate_samples=certificate_samples, max_steps=max_steps)
+    lost = by_response(losses, names, QuadraticLoss, "losses")
+    _check(required, lost, joint_target, samples=samples, certificate_samples=certificate_samples, max_steps=max_steps)
     priced = costs_by_field(costs, population.active, needed=not variables)
     check_middles(middles or {}, population.active)
     judged = {name: item for name, item in required.items() if item.of_sample}
@@ -154,8 +160,8 @@ def allocated(
             confidence=confidence, progress=progress, keep=certificate_samples <= KEPT, label="certifying", memo=memo,
         )  # fmt: skip
         problem = Problem(
-            response, population, required, priced, middles or {}, variables or {}, objective or {}, joint_target,
-            samples, seed, max_steps, run, memo, advance,
+            response, population, required, priced, middles or {}, variables or {}, objective or {}, lost,
+            joint_target, samples, seed, max_steps, run, memo, advance,
         )  # fmt: skip
         check_objective(problem.objective, names)
         decisions = problem.decisions()
@@ -185,9 +191,11 @@ def block(samples: int, certificate_samples: int) -> int:
     return min(samples, BLOCK) if certificate_samples < BLOCK else BLOCK
 
 
-def _check(required: dict[str, Limits], joint_target: float | None, **counts: int) -> None:
-    if not required:
-        raise ValueError("requirements: needs at least one")
+def _check(
+    required: dict[str, Limits], losses: dict[str, QuadraticLoss], joint_target: float | None, **counts: int
+) -> None:
+    if not required and not losses:
+        raise ValueError("requirements: needs at least one, or a loss")
     if joint_target is not None and not 0 < joint_target < 1:
         raise ValueError(f"joint_target = {joint_target!r}: must lie between 0 and 1")
     if joint_target is not None and not any(item.of_units for item in required.values()):

@@ -1,7 +1,9 @@
 """Losses: what a deviation costs inside the limits too (Taguchi)."""
 
+import dataclasses
 import math
 
+from rvjax.population import Estimate
 from rvjax.records import Array, Record, Scalar, concrete, field, record
 
 
@@ -23,6 +25,29 @@ class QuadraticLoss(Record):
             values: of the response, any shape.
         """
         return self.price * ((values - self.target) / self.at) ** 2  # type: ignore[return-value]
+
+    def slope(self, values: Scalar) -> Array:
+        """Derivative of the loss to each value.
+
+        Args:
+            values: of the response, any shape.
+        """
+        return 2 * self.price * (values - self.target) / self.at**2  # type: ignore[return-value]
+
+    def expected(self, mean: Estimate, sd: Estimate, deviate: float) -> Estimate:
+        """Mean loss of units by the statistics of their response: price (sd^2 + (mean - target)^2)/at^2.
+
+        The errors of both add up, whatever their correlation is.
+
+        Args:
+            mean: of the response.
+            sd: of the response.
+            deviate: standard normal one of the confidence.
+        """
+        off, scale = mean.value - float(self.target), float(self.price) / float(self.at) ** 2
+        error = 2 * scale * (sd.value * sd.error + abs(off) * mean.error) + scale * (sd.error**2 + mean.error**2)
+        found = Estimate.about(scale * (sd.value**2 + off**2), error, deviate)
+        return dataclasses.replace(found, lower=max(found.lower, 0.0))
 
     def _check(self) -> None:
         for name in ("price", "at", "target"):

@@ -20,6 +20,7 @@ from rvjax.tolerances.optimum.local import Local
 from rvjax.tolerances.optimum.margins import Margins
 from rvjax.tolerances.optimum.problem import Problem
 from rvjax.tolerances.optimum.programme import End, Programme
+from rvjax.tolerances.optimum.rounding import ladders_of
 from rvjax.tolerances.optimum.steps import COARSE, followed, ranges, starts, valleys
 
 FINE = 4096
@@ -83,10 +84,10 @@ class Designer:
     def _by_values(self, end: End) -> Found:
         """Solution where derivatives of units mislead: by values alone, at the mid-points and numbers of an end.
 
-        Other mid-points and numbers were not compared by values, so that with some of these it is not the cheapest.
+        Other mid-points and numbers, and losses, were not compared by values: with these it need not be the cheapest.
         """
         found = HalfWidths(self.problem, self.decisions, end.point.x, self.certifier).solution()
-        others = self.decisions.size > len(self.decisions.fields)
+        others = self.decisions.size > len(self.decisions.fields) or bool(self.problem.losses)
         status = "MAX_STEPS" if others and found.status == "OPTIMAL" else found.status
         return dataclasses.replace(found, status=status, history=self.history + found.history)
 
@@ -204,16 +205,16 @@ class Designer:
         x = end.point.x
         if kept is None and not certifier.hopeless():
             x, certificate = self._tightened(x, certificate)
-        cost, stationary = margins.total(x), end.residual <= STATIONARY
+        cost, loss, stationary = margins.total(x), margins.loss(x), end.residual <= STATIONARY
+        exact = not (margins.missed(end.point) > _EXACTLY).any()
         status = status_of(
-            certified=certifier.holds(certificate) and end.excess <= _MET,
-            exact=not (margins.missed(end.point) > _EXACTLY).any(), cost=cost, learned=learned,
-            settled=end.settled, stationary=stationary,
+            certified=certifier.holds(certificate) and end.excess <= _MET, exact=exact, cost=cost + loss,
+            learned=learned, settled=end.settled, stationary=stationary,
         )  # fmt: skip
         reached, slopes = margins_of(margins, decisions, end)
         return Found(
-            status, decisions, x, certificate, learned, cost, prices(margins, end, x), {}, end.residual, end.settled,
-            stationary, margins.evaluated, self.history, end, None, reached, slopes,
+            status, decisions, x, certificate, learned - loss, cost, prices(margins, end, x), {}, end.residual,
+            end.settled, stationary, exact, margins.evaluated, self.history, end, None, reached, slopes,
         )  # fmt: skip
 
     def _learned(self, margins: Margins, end: End) -> float:
@@ -267,7 +268,57 @@ class Designer:
 
     def graded(self, found: Found) -> tuple[Found, dict[str, str]]:
         """The solution with half-widths rounded to grades at its mid-points and numbers."""
+        if self.problem.losses:
+            return self._graded_by_objective(found)
         return HalfWidths(self.problem, self.decisions, found.x, self.certifier).graded(found)
+
+    def _graded_by_objective(self, found: Found) -> tuple[Found, dict[str, str]]:
+        """Grades of the least cost with losses: one grade at a time moves while that gains on the sample.
+
+        Where a certificate does not hold, the grade that costs least to tighten is the next.
+        """
+        decisions, count = self.decisions, len(self.decisions.fields)
+        margins = self.problem.margins(decisions, FINE)
+        margins.begin(found.x)
+        if self.problem.costly:
+            margins.follow(found.x)
+        ladders = {j: ladder for j, ladder in enumerate(ladders_of(decisions)) if ladder}
+
+        def at(places: dict[int, int]) -> np.ndarray:
+            t = decisions.half_widths(found.x)
+            t[list(places)] = [ladders[j][place][1] for j, place in places.items()]
+            return decisions.with_half_widths(found.x, t)
+
+        def worth(places: dict[int, int]) -> tuple[bool, float]:
+            point = margins.look(at(places), sloped=False)
+            excess = float(point.margins.max(initial=-math.inf))
+            return excess > _MET, point.total if excess <= _MET else excess
+
+        def moved(places: dict[int, int], steps: tuple[int, ...]) -> list[dict[int, int]]:
+            return [
+                places | {j: place + step}
+                for j, place in places.items()
+                for step in steps
+                if 0 <= place + step < len(ladders[j])
+            ]
+
+        wide = np.exp(found.x[:count])
+        places = {j: int(np.argmin([abs(math.log(t / wide[j])) for _, t in steps])) for j, steps in ladders.items()}
+        best = worth(places)
+        while rivals := [(w, p) for p in moved(places, (1, -1)) if (w := worth(p)) < best]:
+            best, places = min(rivals, key=lambda item: item[0])
+        certificate = self._drawn(at(places))
+        for _ in range(DRAWS):
+            finer = moved(places, (-1,))
+            if self.certifier.holds(certificate) or self.certifier.hopeless() or not finer:
+                break
+            places = min(finer, key=worth)
+            certificate = self._drawn(at(places))
+        x, held = at(places), self.certifier.holds(certificate) and found.exact
+        there = dataclasses.replace(
+            found, x=x, certificate=certificate, cost=margins.total(x), status="OPTIMAL" if held else "NOT_CERTIFIED"
+        )
+        return there, {decisions.fields[j]: ladders[j][place][0] for j, place in places.items()}
 
     def _refused(self, margins: Margins, shortage: Shortage) -> Found:
         """The solution where no vector meets all requirements.
@@ -281,5 +332,5 @@ class Designer:
         nothing = dict.fromkeys(margins.requirements, math.nan if held else 0.0)
         return Found(
             status, self.decisions, x, certificate, total, total, nothing, {} if held else shortage.by_name, math.nan,
-            True, True, margins.evaluated, self.history, None, missed,
+            True, True, exact, margins.evaluated, self.history, None, missed,
         )  # fmt: skip

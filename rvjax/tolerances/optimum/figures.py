@@ -94,6 +94,7 @@ def allocation_of(
     t = decisions.half_widths(found.x)
     nothing = dict.fromkeys(names, 0.0)
     widths = zip(decisions.fields, problem.priced.values(), t)
+    losses = problem.expected_losses(found.certificate)
     return Allocation(
         feasible=found.status != "INFEASIBLE",
         status=found.status,
@@ -117,5 +118,7 @@ def allocation_of(
         ranges=ranges,
         margins=found.margins,
         margin_slopes=found.slopes,
+        losses=losses,
+        objective=problem.whole_of(found.cost, losses),
         reason=reason(found),
     )

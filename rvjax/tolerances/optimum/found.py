@@ -23,12 +23,13 @@ class Found:
         x: (n,) the solution.
         certificate: of the solution.
         learned: cost before certification.
-        cost: of the solution, with the objective.
+        cost: of the solution, with the priced outputs, without losses.
         prices: {requirement: reduction of the cost per outward move of its limits}, nan where nothing was searched.
         shortfall: {requirement: distance by which its limits must move outwards}.
         residual: of the conditions of an optimum.
         settled: no limit of steps ended the search.
         stationary: the residual is small, or a search by values was exhausted.
+        exact: every limit without sampling error is met.
         evaluated: units that the search solved.
         history: one dict per vector.
         end: of a programme on all decisions, None without one.
@@ -48,6 +49,7 @@ class Found:
     residual: float
     settled: bool
     stationary: bool
+    exact: bool
     evaluated: int
     history: list[dict[str, Any]]
     end: End | None = None

@@ -50,7 +50,7 @@ class HalfWidths:
         """A solution with its half-widths rounded to grades, and the grades."""
         rounding = Rounding(self.search, self.certifier, self.problem.priced)
         t, grades, certificate = rounding.graded(found.decisions.half_widths(found.x), found.certificate)
-        status = "OPTIMAL" if self.certifier.holds(certificate) else "NOT_CERTIFIED"
+        status = "OPTIMAL" if self.certifier.holds(certificate) and found.exact else "NOT_CERTIFIED"
         there = dict(x=found.decisions.with_half_widths(found.x, t), certificate=certificate, status=status)
         return dataclasses.replace(found, **there, cost=found.cost + self._dearer(found, t)), grades
 
@@ -130,6 +130,6 @@ class HalfWidths:
         return Found(
             status, self.decisions, self.decisions.with_half_widths(self.x, half_widths), certificate,
             learned + rest, self.search.cost(half_widths) + rest,
-            dict(zip(self.training.requirements, map(float, prices))), shortfall, residual, settled, True,
+            dict(zip(self.training.requirements, map(float, prices))), shortfall, residual, settled, True, True,
             self.training.evaluated[0], self.search.history,
         )  # fmt: skip

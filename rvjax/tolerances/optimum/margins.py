@@ -8,6 +8,7 @@ them. Every margin is a part of its way: of the distance of the central response
 import dataclasses
 import functools
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from scipy import special
@@ -16,6 +17,7 @@ from rvjax._jax.blocks import PULLED
 from rvjax.population import Population, SobolPoints
 from rvjax.response import Response, response_names
 from rvjax.tolerances.batch.memo import Memo
+from rvjax.tolerances.loss import QuadraticLoss
 from rvjax.tolerances.optimum.anchor import Anchor, AnchoredUnits
 from rvjax.tolerances.optimum.decisions import Decisions
 from rvjax.tolerances.optimum.limit_lines import LimitLines
@@ -62,8 +64,14 @@ class Margins:
         seed: int,
         memo: Memo | None = None,
         plain: int | None = None,
+        losses: Mapping[str, QuadraticLoss] | None = None,
     ) -> None:
-        """Constraints on `samples` units in the tails, and `plain` others (None: as many) for statistics."""
+        """Constraints on `samples` units in the tails, and `plain` others (None: as many) for statistics.
+
+        The mean of `losses` is part of the objective. Costly units behind it are few, and followed as those in the
+        tails are.
+        """
+        self.losses = dict(losses or {})
         self.decisions, self.requirements, self.objective = decisions, requirements, objective
         self.joint_target, self.samples, self.seed = joint_target, samples, seed
         self.response = response
@@ -89,12 +97,16 @@ class Margins:
         self.tails = TailSample(numbers, samples, seed)
         self._centres: dict[int, Centres] = {}
         self.lines: dict[int, LimitLines] = {}
+        self._lossy = AnchoredUnits(response, decisions, set(self.losses), memo)
+        count = (min(samples, PULLED) if plain is None else plain) if self.losses else 0
+        self._loss_z = SobolPoints(numbers, seed).z(0, count) if count else np.zeros((numbers, 0))
+        self._loss_anchors: dict[bytes, Anchor | None] = {}
         self.plain = SobolPoints(numbers, seed).z(0, plain or samples) if self._plain else np.zeros((numbers, 0))
 
     @property
     def evaluated(self) -> int:
         """Units that the search has solved."""
-        return self._units.evaluated
+        return self._units.evaluated + self._lossy.evaluated
 
     # The sample.
 
@@ -144,7 +156,7 @@ class Margins:
                 self._centres[self._row(k)] = placed
                 found.append(placed)
         if found:
-            self._units.anchor = None
+            self.anchor = None
             self.tails = TailSample(self.decisions.base.numbers, self.samples, self.seed, Centres.joined(found))
 
     def draw_lines(self, x: np.ndarray, due: dict[int, float]) -> None:
@@ -173,6 +185,9 @@ class Margins:
             distance = np.where(np.isnan(distance), np.inf, distance)
             away |= {name: np.minimum(away.get(name, np.inf), distance) for name in shared.outward}
         self._units.drop(x, self.tails.z, away)
+        if self.losses:
+            self._lossy.drop(x, self._loss_z, {name: np.zeros(self._loss_z.shape[1]) for name in self.losses})
+            self._loss_anchors[x.tobytes()] = self._lossy.anchor
 
     @property
     def anchor(self) -> Anchor | None:
@@ -182,6 +197,7 @@ class Margins:
     @anchor.setter
     def anchor(self, anchor: Anchor | None) -> None:
         self._units.anchor = anchor
+        self._lossy.anchor = None if anchor is None else self._loss_anchors.get(anchor.x.tobytes())
 
     def _row(self, k: int) -> int:
         return k if k < self._shares else len(self.names) - 1
@@ -206,18 +222,30 @@ class Margins:
         slopes, bends = decisions.cost_slopes(x)
         priced = sum(price * outputs[name] for name, price in self.objective.items())
         towards = sum((p * decisions.by_number(rates[name]) for name, p in self.objective.items()), np.zeros(n))
+        loss, pulled = self._look_at_losses(x, population, sloped)
         margins = (margins + self.offsets) / self.ways
         return Local(
-            x,
-            decisions.cost(x),
-            slopes,
-            bends,
-            float(priced),
-            towards,
-            margins,
-            jacobian / self.ways[:, None],
-            self.offsets / self.ways,
-        )
+            x, decisions.cost(x), slopes, bends, float(priced) + loss, towards + pulled, margins,
+            jacobian / self.ways[:, None], self.offsets / self.ways,
+        )  # fmt: skip
+
+    def _look_at_losses(self, x: np.ndarray, population: Population, sloped: bool) -> tuple[float, np.ndarray]:
+        """Mean loss of the units that do not fail, inf where all do, and its derivatives (n,)."""
+        total, towards = 0.0, np.zeros(self.decisions.size)
+        values = self._lossy.values(x, self._loss_z, "tails") if self.losses else {}
+        for name, loss in self.losses.items():
+            units = np.flatnonzero(np.isfinite(values[name]))
+            if not len(units):
+                return math.inf, towards
+            total += float(np.mean(loss(values[name][units])))
+            if sloped:
+                pull = {name: np.asarray(loss.slope(values[name][units])) / len(units)}
+                towards += self._lossy.slope(x, population, self._loss_z[:, units], pull, units)
+        return total, towards
+
+    def loss(self, x: np.ndarray) -> float:
+        """Mean loss at a vector of decisions."""
+        return self._look_at_losses(x, self.decisions.population(x), sloped=False)[0]
 
     def missed(self, point: Local) -> np.ndarray:
         """Excess (e,) of the limits without sampling error, in parts of their ways."""

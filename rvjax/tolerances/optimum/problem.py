@@ -6,10 +6,11 @@ from collections.abc import Callable, Mapping
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.population import Population, deviate_of
+from rvjax.population import Estimate, Population, deviate_of
 from rvjax.response import Response, is_costly
 from rvjax.tolerances.batch.memo import Memo
-from rvjax.tolerances.batch.monte_carlo import Run
+from rvjax.tolerances.batch.monte_carlo import Run, Statistics
+from rvjax.tolerances.loss import QuadraticLoss
 from rvjax.tolerances.optimum.conlin import total_cost
 from rvjax.tolerances.optimum.cost import Cost
 from rvjax.tolerances.optimum.decisions import Decisions
@@ -35,6 +36,7 @@ class Problem:
         middles: by field.
         variables: by name.
         objective: {output: price per unit}.
+        losses: {output: its loss, of which the mean counts}.
         joint_target: share of units that meet all limits, or None.
         samples: units to learn from, at most.
         seed: of these.
@@ -51,6 +53,7 @@ class Problem:
     middles: Mapping[str, Middle]
     variables: Mapping[str, Variable]
     objective: Mapping[str, float]
+    losses: Mapping[str, QuadraticLoss]
     joint_target: float | None
     samples: int
     seed: int
@@ -73,7 +76,7 @@ class Problem:
         """True if its units are costly, its limits are on shares and half-widths are its only decisions."""
         decisions = self.decisions()
         alone = decisions.size == len(decisions.fields) and not self.objective
-        return alone and followable(self.response, self.requirements)
+        return alone and not self.losses and followable(self.response, self.requirements)
 
     def start_cost(self, decisions: Decisions) -> float:
         """Cost of the given tolerances, mid-points and numbers, with the objective."""
@@ -82,6 +85,20 @@ class Problem:
         widths = float(total_cost(tuple(self.priced.values()), jnp.asarray(self.given))) if self.priced else 0.0
         rest = decisions.cost(given) - decisions.widths_cost(given)
         return widths + rest + sum(price * outputs[name] for name, price in self.objective.items())
+
+    def expected_losses(self, certificate: Statistics) -> dict[str, Estimate]:
+        """Mean loss of each response by the units of a certificate."""
+        deviate = deviate_of(self.run.confidence)
+        mean, sd = certificate.mean, certificate.sd
+        return {n: item.expected(mean[n], sd[n], deviate) for n, item in self.losses.items()}
+
+    @staticmethod
+    def whole_of(cost: float, losses: Mapping[str, Estimate]) -> Estimate:
+        """Cost with mean losses; their intervals add up."""
+        items = losses.values()
+        sums = (sum(getattr(item, key) for item in items) for key in ("value", "error", "lower", "upper"))
+        value, error, lower, upper = sums
+        return Estimate(cost + value, error, cost + lower, cost + upper)
 
     @property
     def given(self) -> np.ndarray:
@@ -98,7 +115,7 @@ class Problem:
         limited = self._aimed() if aimed else self.requirements
         return Margins(
             self.response, decisions, limited, dict(self.objective), self.joint_target, count, self.seed, self.memo,
-            None if self.costly else self.samples,
+            None if self.costly else self.samples, self.losses,
         )  # fmt: skip
 
     def _aimed(self) -> dict[str, Limits]:

@@ -4,7 +4,7 @@ import dataclasses
 from typing import Any
 
 from rvjax._ground import frames
-from rvjax.population import Population
+from rvjax.population import Estimate, Population
 from rvjax.tolerances.batch.monte_carlo import Statistics
 
 
@@ -44,6 +44,8 @@ class Allocation:
         margins: {requirement: distance beyond the limit of what it judges at the end of the search, <= 0 within it}
             of an allocation with variables or mid-points, with the corrections of its certificate.
         margin_slopes: {requirement: {field or variable: derivative of this margin to a half-width or number}}.
+        losses: {response: `Estimate` of its mean loss, of the certificate's units that do not fail}.
+        objective: `Estimate` of the cost with these losses; what the search minimises.
         reason: of an infeasible problem with variables: what fails by how much, and the bound that would help most.
     """
 
@@ -69,6 +71,8 @@ class Allocation:
     ranges: dict[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
     margins: dict[str, float] = dataclasses.field(default_factory=dict)
     margin_slopes: dict[str, dict[str, float]] = dataclasses.field(default_factory=dict)
+    losses: dict[str, Estimate] = dataclasses.field(default_factory=dict)
+    objective: Estimate | None = None
     reason: str | None = None
 
     def to_pandas(self) -> Any:

@@ -13,6 +13,7 @@ from rvjax.tolerances.batch.monte_carlo import Statistics
 from rvjax.tolerances.optimum.certificate import Certifier
 from rvjax.tolerances.optimum.conlin import cheapest, predicted
 from rvjax.tolerances.optimum.cost import Cost
+from rvjax.tolerances.optimum.decisions import Decisions
 from rvjax.tolerances.optimum.sample_average import Point
 from rvjax.tolerances.optimum.search import BEYOND, RADIUS, Search
 from rvjax.tolerances.requirements.factors import CUSHION
@@ -196,6 +197,11 @@ class Rounding:
         """Saving of the next coarser grade of a field."""
         now, then = (float(self.costs[j](jnp.asarray(self.ladders[j][k][1]))) for k in (place, place + 1))
         return now - then
+
+
+def ladders_of(decisions: Decisions) -> list[list[tuple[str, float]]]:
+    """Grades of each field that has a cost, finest first, with their half-widths; none without a size."""
+    return [_ladder(decisions.base.active[name].size, cost) for name, cost in decisions.priced.items()]
 
 
 def _ladder(size: Any, cost: Cost) -> list[tuple[str, float]]:
