@@ -211,10 +211,9 @@ def digest() -> str:
 def run(names: list[str], journal: Path | None) -> dict[str, Row]:
     """Rows, printed as they come; those that the journal has are not run again."""
     FOLDER.mkdir(parents=True, exist_ok=True)
-    lines = (
-        [json.loads(line) for line in journal.read_text("utf-8").splitlines()] if journal and journal.exists() else []
-    )
-    known = {name: row for at, name, row in lines if at == revision()}
+    lines = journal.read_text("utf-8").splitlines() if journal and journal.exists() else []
+    made = digest()
+    known = {name: row for at, name, row in map(json.loads, lines) if at == made}
     print(HEAD, flush=True)
     rows = {}
     for name in names:
