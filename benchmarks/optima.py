@@ -27,18 +27,15 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+import jax
+import numpy as np
+
+import rvjax
+from benchmarks.optima_problems import PROBLEMS, Problem
 from benchmarks.timing import machine, settings
-
-settings()
-
-import jax  # noqa: E402  (after the flags)
-import numpy as np  # noqa: E402
-
-import rvjax  # noqa: E402
-from benchmarks.optima_problems import PROBLEMS, Problem  # noqa: E402
-from rvjax._jax import compile_cache  # noqa: E402
-from rvjax.response.response import Compiled  # noqa: E402
-from rvjax.tolerances import Allocation, allocate  # noqa: E402
+from rvjax._jax import compile_cache
+from rvjax.response.response import Compiled
+from rvjax.tolerances import Allocation, allocate
 
 ROOT = Path(__file__).parents[1]
 FROZEN, FOLDER = Path(__file__).with_suffix(".json"), ROOT / "build" / "optima"
@@ -254,6 +251,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, help="run the quick rows with so many seeds")
     parser.add_argument("--alone", choices=PROBLEMS, help=argparse.SUPPRESS)
     options = parser.parse_args()
+    settings()  # JAX has not been used yet
     if options.alone:
         compile_cache.keep(rvjax.__version__)
         print(json.dumps(solved(PROBLEMS[options.alone], None, 1)))
