@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from cli_study import one_start
+from codesign_cases import CASES, reference_study
 
 from rvjax import cli, study
 from rvjax.commands.allocate import kept
@@ -17,11 +18,6 @@ from rvjax.tolerances import Memo, Nominal, Variable, allocate
 from rvjax.tolerances.optimum import units
 from rvjax.units import mm, um
 
-CASE = next(
-    case
-    for case in json.loads((Path(__file__).parent / "reference" / "codesign.json").read_text())["cases"]
-    if case["kind"] == "rv"
-)
 SMALL = """
 [design]
 base = "rv-40e-whole"
@@ -71,33 +67,6 @@ def parsed(text=SMALL):
 def replaced(old, new):
     assert old in SMALL
     return SMALL.replace(old, new, 1)
-
-
-def reference_study(certificate_samples):
-    """The mechanical problem of the reference as a study file, lengths in m.
-
-    Its limit of the transmission error has a fifth of the cost; 16 angles see 0.6 % less of it on average, that is
-    0.1 % of the cost.
-    """
-    given = CASE["given"]
-    torque = f'output_torque = "{given["constants"]["torque"]} N m"'
-    lines = [f'[design]\nbase = "rv-40e"\n[conditions]\n{torque}\nangles = 16']
-    for name, field in given["fields"].items():
-        middle, half = field.get("middle", 0.0), field["half_width"]
-        lines.append(f'[tolerances.{name}]\nlower = "{middle - half} m"\nupper = "{middle + half} m"')
-    for name, cost in given["costs"].items():
-        lines.append(f"[cost.{name}]\nscale = {cost['scale']}\npower = {cost['power']}")
-        lines += [f'{key} = "{cost[key]} m"' for key in ("reference", "finest", "coarsest")]
-    for name, item in given["variables"].items():
-        lines += [f'[variable."{name}"]', *(f'{key} = "{item[key]} m"' for key in ("lower", "upper", "start"))]
-    for name, item in given["requirements"].items():
-        nominal = "nominal_" if item["kind"] == "nominal" else ""
-        unit = "m" if nominal else "rad"
-        lines += [f"[requirement.{name}]", *([] if nominal else [f"target = {item['target']}"])]
-        lines += [f'{nominal}{key} = "{item[key]} {unit}"' for key in ("lower", "upper") if key in item]
-    for name, price in given["objective"].items():
-        lines.append(f'[objective]\n{name} = {{price = {price}, per = "1 m"}}')
-    return parsed("\n".join([*lines, f"[run]\ncertificate_samples = {certificate_samples}"]))
 
 
 def test_the_tables_are_read():
@@ -151,7 +120,7 @@ def test_bad_input_is_one_line(old, new, words):
 
 
 def test_geometry_first_is_that_of_the_reference():
-    due = CASE["expected"]["two_step"]
+    due = CASES["rv-0"]["expected"]["two_step"]
     found = geometry_first(reference_study(1000))
     assert set(found) == set(due["fixed"])  # the modification does not change size or room
     for name, value in found.items():
@@ -179,7 +148,7 @@ def test_the_mechanical_problem_of_the_reference():
     A certificate of 200,000 units keeps 2.7 errors of 1.2e-4 beside a density of 0.0089, over 3: 1.2 % of half-widths,
     which are half of the cost.
     """
-    made, due = reference_study(200_000), CASE["expected"]
+    made, due = reference_study(200_000), CASES["rv-0"]["expected"]
     found = allocate(
         made.design_response(),
         made.tolerances,

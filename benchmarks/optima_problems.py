@@ -1,0 +1,290 @@
+"""The problems of `benchmarks.optima`, by name: what is allocated, and the least cost and exact prices where known.
+
+Certificates have a million units, of 200 fields a quarter; some known defects were found with other sizes. A
+certificate of n units wants a share 2.7 standard errors above the target, so that ratios lie above 1: 1.003 to 1.006
+at a million units.
+"""
+
+import copy
+import functools
+import itertools
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from scipy import stats
+
+from census import grades
+from oracles import known_optima
+from oracles.known_optima import least, squares
+from oracles.linear_pair import COSTS, LIMIT, PAIR, closed_cost, linear, radius, two
+from oracles.responses import Failing, Linear
+from rvjax.study import Study, load
+from rvjax.tolerances import CpkAtLeast, Middle, Nominal, ReciprocalPower, Requirement, Table, Tolerance, Variable
+from rvjax.units import um
+from tests import codesign_cases, codesign_random
+
+THREE_CRANKS = Path(__file__).parents[1] / "tests" / "three-cranks.toml"
+STILL = {"a": Middle(0, 0)}
+"""A mid-point that cannot move: the same problem by another search."""
+EDGE = 15 * um  # units with a larger |b| fail
+FEW = dict(samples=4096, certificate_samples=200_000)  # of the known defects
+
+
+class Known(NamedTuple):
+    """An allocation.
+
+    Attributes:
+        arguments: of `allocate`.
+        optimum: least cost, of an infeasible problem least shortfall; nan where it is not known.
+        prices: {requirement: exact d cost / d limit, all its limits moving outwards}, where known.
+    """
+
+    arguments: dict[str, Any]
+    optimum: float = math.nan
+    prices: dict[str, float] = {}  # noqa: RUF012  (never changed)
+
+
+class Problem(NamedTuple):
+    """One row of the table.
+
+    Attributes:
+        kind: of problem.
+        make: its allocation.
+        right: status of a right result.
+        alone: in its own process, with kept programs, as a user runs a study.
+    """
+
+    kind: str
+    make: Callable[[], Known]
+    right: str = "OPTIMAL"
+    alone: bool = False
+
+
+def pair(limit: float, optimum: float, price: float | None, **changes: Any) -> Known:
+    """a + 2 b within +- limit, or what differs from it."""
+    given = dict(response=linear, tolerances=PAIR, costs=COSTS, requirements=Requirement(lower=-limit, upper=limit))
+    return Known(given | changes, optimum, {} if price is None else {"": price})
+
+
+def published(name: str) -> Known:
+    """Of `oracles.known_optima`."""
+    case = known_optima.CASES[name]()
+    given = {key: getattr(case, key) for key in ("response", "tolerances", "requirements", "costs")}
+    return Known(given | (dict(certificate_samples=250_000) if name == "200 fields" else {}), case.optimum)
+
+
+def reference(name: str) -> Known:
+    """Of `tests/reference/codesign.json`."""
+    case = codesign_cases.CASES[name]
+    due = case["expected"]
+    optimum = due["cost"] if "cost" in due else sum(due["shortfall"].values())
+    if name == "rv-0":
+        return Known(of_study(codesign_cases.reference_study(1_000_000)), optimum, due["prices"])
+    return Known(codesign_cases.arguments(case["given"]), optimum, due.get("prices", {}))
+
+
+def drawn_at_random(seed: int) -> Known:
+    """Of `tests/codesign_random.py`."""
+    problem = codesign_random.problem(seed)
+    cost, prices, _ = problem.exact()
+    return Known(problem.arguments(), cost, prices)
+
+
+def long_lists() -> Known:
+    """Three numbers of five values each, without errors that count: the cheapest of 125 combinations."""
+    among = (1.3, 0.4, 2.1, 0.9, 1.7)
+    own = {"x": lambda v: v**2, "y": lambda v: 2.3 * v, "z": lambda v: 1.1 * v**3}
+    root = lambda values: math.sqrt(math.prod(values))  # noqa: E731
+    sets = [values for values in itertools.product(among, repeat=3) if root(values) >= 1.2]
+    given = dict(
+        response=lambda e, v: {"size": jnp.sqrt(v["x"] * v["y"] * v["z"]) + 0.0 * e["a"]},
+        tolerances={"a": Tolerance(0.0, 0.0)}, requirements={"size": Nominal(lower=1.2)}, costs={},
+        variables={name: Variable(0.3, 3.0, cost=cost, among=among) for name, cost in own.items()},
+    )  # fmt: skip
+    return Known(given, min(sum(cost(v) for cost, v in zip(own.values(), values)) for values in sets))
+
+
+def hopeless_number() -> Known:
+    """A stress of 3.2/size^2, at least 0.8 with size <= 2, that must not exceed 0.7; units have room enough."""
+    given = copy.deepcopy(codesign_cases.CASES["refused-0"]["given"])
+    given["requirements"]["y"]["upper"], given["requirements"]["stress"]["upper"] = 2.0, 0.7
+    return Known(codesign_cases.arguments(given), 0.1)
+
+
+def differences(cost: Callable[[dict[str, float]], float], limits: dict[str, float]) -> dict[str, float]:
+    """Prices by central differences of the least cost, 0.1 % of each limit."""
+    found = {}
+    for name, limit in limits.items():
+        ends = [cost(limits | {name: limit * (1 + side)}) for side in (-1e-3, 1e-3)]
+        found[name] = (ends[1] - ends[0]) / (2e-3 * limit)
+    return found
+
+
+def two_bounds() -> Known:
+    """Four fields of two chains: a ends at its finest, d at its coarsest."""
+    slopes = {"sum": dict(a=1.0, b=1.0, c=1.0, d=1.0), "pair": dict(a=1.0, b=-1.0)}
+    limits = {"sum": 30 * um, "pair": 16 * um}
+    scales, powers = dict(a=0.5, b=2.0, c=1.0, d=3.0), dict(a=1.0, b=0.7, c=1.5, d=1.2)
+    finest, coarsest = dict(a=12 * um), dict(d=13 * um)
+    costs = {
+        f: ReciprocalPower(scale=scales[f], power=powers[f], finest=finest.get(f, 0.2 * um),
+                           coarsest=coarsest.get(f, 400 * um))
+        for f in "abcd"
+    }  # fmt: skip
+    cost = lambda at: least(costs, [squares(slopes[n], costs, radius(0.99, limit)) for n, limit in at.items()], 8 * um)  # noqa: E731
+    given = dict(
+        response=Linear(slopes), tolerances={f: Tolerance.symmetric(10 * um) for f in "abcd"}, costs=costs,
+        requirements={n: Requirement(lower=-limit, upper=limit, target=0.99) for n, limit in limits.items()},
+    )  # fmt: skip
+    return Known(given, cost(limits), differences(cost, limits))
+
+
+def finest_field() -> Known:
+    """Three fields, and one at its finest that takes 88 % of the variance."""
+    slopes, scales = dict(a=1.3, b=-0.4, c=2.6, d=0.9), dict(a=1.0, b=0.3, c=4.0, d=2.2)
+    costs = {
+        f: ReciprocalPower(scale=scales[f], finest=(13.044 if f == "c" else 0.2) * um, coarsest=400 * um)
+        for f in "abcd"
+    }
+    cost = lambda at: least(costs, [squares(slopes, costs, radius(0.99, at[""]))], 14 * um)  # noqa: E731
+    given = dict(
+        response=Linear(slopes), tolerances={f: Tolerance.symmetric(10 * um) for f in "abcd"}, costs=costs,
+        requirements=Requirement(lower=-31 * um, upper=31 * um, target=0.99), samples=4096,
+    )  # fmt: skip
+    return Known(given, cost({"": 31 * um}), differences(cost, {"": 31 * um}))
+
+
+def cheapest_grades() -> Known:
+    """Grades with tables of costs, against every combination; without exchanges of grades 14 % too dear."""
+    given = grades.problem(14)
+    fields = grades.names(len(given.sizes))
+    arguments = dict(
+        response=given.response, costs={f: Table(t, c) for f, t, c in zip(fields, given.widths, given.costs)},
+        tolerances={f: Tolerance.symmetric(5 * um, size=size) for f, size in zip(fields, given.sizes)},
+        requirements=Requirement(lower=-given.limit, upper=given.limit, target=given.target), grades=True,
+    )  # fmt: skip
+    return Known(arguments, grades.bounds(given, np.zeros((5, 1)), 1_000_000)[0])
+
+
+def fragile(**changes: Any) -> Known:
+    """P(|a| <= limit) P(|b| <= EDGE) = 99 %: units with a larger |b| fail. The share left to a is scanned."""
+    share = 0.99 + 0.01 * np.linspace(0.001, 0.999, 100_000)
+    a = 3 * LIMIT / stats.norm.ppf((1 + share) / 2)
+    b = 3 * EDGE / stats.norm.ppf((1 + 0.99 / share) / 2)
+    required = Requirement(lower=-LIMIT, upper=LIMIT, target=0.99)
+    given = dict(response=Failing({"a": 1.0, "b": 0.0}, {"a": 1.0, "b": EDGE}), requirements=required)
+    return pair(LIMIT, float((10 * um / a + 10 * um / b).min()), None, **(given | FEW | changes))
+
+
+def stepped(**changes: Any) -> Known:
+    """|a + 2 b| rounded up to whole steps of 2 um; the limit lies within a step, so that 20 um count."""
+    size, required = 2 * um, Requirement(upper=20.1 * um, target=0.99)
+    response = lambda e: jnp.ceil(jnp.abs(linear(e)) / size) * size  # noqa: E731
+    return pair(
+        20 * um, closed_cost(0.99, 20 * um), None, **(dict(response=response, requirements=required) | FEW | changes)
+    )
+
+
+def correlated() -> Known:
+    """t_a^2 + 4 t_b^2 + 2.4 t_a t_b = radius^2, scanned; the cost is as 1/limit."""
+    ratio = np.linspace(0.5, 5, 100_000)
+    b = radius(0.9973) / np.sqrt(ratio**2 + 4 + 2.4 * ratio)
+    optimum = float((10 * um / (ratio * b) + 10 * um / b).min())
+    return pair(LIMIT, optimum, -optimum / LIMIT, correlation={("a", "b"): 0.6})
+
+
+def joint() -> Known:
+    """|a + 2 b| and |b| within their limits at once for 99 %: quadrature over b."""
+    nodes, weights = np.polynomial.legendre.leggauss(80)
+
+    def failing(t: np.ndarray, limits: dict[str, float]) -> float:
+        b = limits["b"] * nodes
+        lower, upper = (3 * (end - 2 * b) / t[0] for end in (-limits["y"], limits["y"]))
+        inside = (stats.norm.cdf(upper) - stats.norm.cdf(lower)) * stats.norm.pdf(3 * b / t[1])
+        return 1 - float(weights @ inside) * 3 * limits["b"] / t[1]
+
+    cost = lambda at: least(COSTS, [lambda t: 1 - failing(t, at) / 0.01], 5 * um)  # noqa: E731
+    limits = {"y": LIMIT, "b": 6 * um}
+    required = {n: Requirement(lower=-limit, upper=limit, target=0.99) for n, limit in limits.items()}
+    required["b"] = Requirement(upper=6 * um, target=0.99)
+    given = dict(response=two, tolerances=PAIR, costs=COSTS, requirements=required, joint_target=0.99)
+    return Known(given, cost(limits), differences(cost, limits))
+
+
+def capability() -> Known:
+    """Cpk >= 1.33 of a - c beside 99.73 % of a + 2 b."""
+    slopes, limits = {"y": dict(a=1.0, b=2.0), "x": dict(a=1.0, c=-1.0)}, {"y": LIMIT, "x": LIMIT}
+    costs = COSTS | {"c": COSTS["a"]}
+    reach = lambda at: {"y": radius(0.9973, at["y"]), "x": at["x"] / 1.33}  # noqa: E731
+    cost = lambda at: least(costs, [squares(slopes[n], costs, r) for n, r in reach(at).items()], 5 * um)  # noqa: E731
+    required = {
+        "y": Requirement(lower=-LIMIT, upper=LIMIT, target=0.9973),
+        "x": CpkAtLeast(lower=-LIMIT, upper=LIMIT, cpk=1.33),
+    }
+    given = dict(response=Linear(slopes), tolerances={f: PAIR["a"] for f in "abc"}, costs=costs, requirements=required)
+    return Known(given, cost(limits), differences(cost, limits))
+
+
+def rare_target() -> Known:
+    """99.99 %: 20 rejects in the certificate."""
+    best = closed_cost(0.9999)
+    required = Requirement(lower=-LIMIT, upper=LIMIT, target=0.9999)
+    return pair(LIMIT, best, -best / LIMIT, requirements=required, certificate_samples=200_000)
+
+
+def of_study(study: Study) -> dict[str, Any]:
+    """Arguments of the allocation of a study, as `rvjax allocate` or `rvjax design` give them."""
+    shared = ("tolerances", "costs", "samples", "seed", "joint_target", "certificate_samples", "middles")
+    given = {name: getattr(study, name) for name in shared}
+    if not study.variables:
+        graded = any(getattr(study.tolerances, name).size is not None for name in study.fields)
+        return given | dict(response=study.response(), requirements=study.requirements, grades=graded)
+    prices = {name: price(1.0) for name, price in study.objective.items()}
+    required = study.requirements | study.nominal
+    return given | dict(
+        response=study.design_response(), requirements=required, variables=study.variables, objective=prices
+    )
+
+
+def studied(name: str) -> Problem:
+    """A study of the RV-40E, or a file."""
+    return Problem("study", lambda: Known(of_study(load(name))), alone=True)
+
+
+def _rows() -> dict[str, Problem]:
+    closed = [name for name in known_optima.CASES if name != "200 fields"]
+    kinds = {"listed-0": "lists", "middle-0": "mid-points", "capability-0": "Cpk", "undercut-0": "nominal"}
+    rows = {name: Problem("closed form", functools.partial(published, name)) for name in closed}
+    rows["200 fields"] = Problem("200 fields", functools.partial(published, "200 fields"))
+    for name in [*codesign_cases.PROGRAMMES, "rv-0"]:
+        right = "INFEASIBLE" if name == "refused-0" else "OPTIMAL"
+        kind = kinds.get(name, "codesign")
+        rows[name] = Problem(kind, functools.partial(reference, name), right, alone=name == "rv-0")
+    for seed in (2, 4, 9, 10, 12):  # curved, uniform, normal, curved and uniform, normal
+        rows[f"random-{seed}"] = Problem("codesign", functools.partial(drawn_at_random, seed))
+    return rows | {
+        "long lists": Problem("lists", long_lists),
+        "hopeless number": Problem("nominal", hopeless_number, "INFEASIBLE"),
+        "two bounds": Problem("bounds", two_bounds),
+        "finest field": Problem("bounds", finest_field),
+        "grades": Problem("grades", cheapest_grades),
+        "units that fail": Problem("failures", fragile),
+        "units that fail, still": Problem("failures", functools.partial(fragile, middles=STILL)),
+        "steps": Problem("steps", stepped),
+        "steps, still": Problem("steps", functools.partial(stepped, middles=STILL)),
+        "correlated": Problem("correlated", correlated),
+        "joint target": Problem("joint", joint),
+        "Cpk and shares": Problem("Cpk", capability),
+        "target 99.99 %": Problem("rare", rare_target),
+        "rv-40e": studied("rv-40e"),
+        "rv-40e-whole": studied("rv-40e-whole"),
+        "three cranks": studied(str(THREE_CRANKS)),
+        "rv-40e-design": studied("rv-40e-design"),
+    }
+
+
+PROBLEMS = _rows()
