@@ -33,11 +33,11 @@ from rvjax.study.values import (
     subtable,
 )
 from rvjax.study.variables import parse_objective, parse_variables
-from rvjax.tolerances import COSTS, FEWEST, KINDS, Cost, Limits, Middle, Nominal, check_middles
+from rvjax.tolerances import COSTS, FEWEST, KINDS, Cost, Limits, Middle, Nominal, QuadraticLoss, check_middles
 from rvjax.units import point_for, unit_of
 
 TABLES = {"about", "accuracy", "columns", "conditions", "cost", "design", "identify", "middle"}
-TABLES |= {"objective", "requirement", "run", "tolerances", "variable"}
+TABLES |= {"loss", "objective", "requirement", "run", "tolerances", "variable"}
 EMBEDDED = resources.files("rvjax.study") / "embedded"
 
 
@@ -115,6 +115,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
         requirements = {name: item for name, item in limited.items() if name not in nominal}
         variables = parse_variables(subtable(tables, "variable"), design, given_paths(subtable(tables, "design")))
         objective = parse_objective(subtable(tables, "objective"), kind.outputs)
+        losses = _losses(kind.outputs, subtable(tables, "loss"))
         identification = None
         if "identify" in tables:
             columns = subtable(tables, "columns")
@@ -122,12 +123,12 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
         elif "columns" in tables:
             raise ValueError("[columns]: names columns of measured data, but there is no [identify]")
         if requirements:
-            refuse_unplaced(kind, tuple(requirements), tolerances)
+            refuse_unplaced(kind, tuple(dict.fromkeys((*requirements, *losses))), tolerances)
         study = Study(
             name=name,
             text=text,
             design=design,
-            conditions=_conditions(kind, (*limited, *objective), identification, tables),
+            conditions=_conditions(kind, tuple(dict.fromkeys((*limited, *objective, *losses))), identification, tables),
             tolerances=tolerances,
             costs=costs,
             requirements=requirements,
@@ -145,6 +146,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
             variables=variables,
             objective=objective,
             nominal=nominal,
+            losses=losses,
         )
         for path in variables:
             if (field := path.rpartition(".")[2]) in study.middles:
@@ -268,6 +270,31 @@ def _accuracy(outputs: Mapping[str, Output], requirements: Mapping[str, Limits],
         found[name] = quantity(value, outputs[name].unit, where)
         if found[name] <= 0:
             raise ValueError(f"{where} = {value!r}: must be positive")
+    return found
+
+
+def _losses(outputs: Mapping[str, Output], table: Toml) -> dict[str, QuadraticLoss]:
+    """The tables [loss.OUTPUT] as losses by output."""
+    found = {}
+    for name, given in table.items():
+        where = f"loss.{name}"
+        choice(name, outputs, f"{where}: response")
+        if not isinstance(given, dict):
+            raise ValueError(
+                f'{where} = {given!r}: must be a table with price, at = "1 {outputs[name].unit}" and target'
+            )
+        known(given, ("price", "at", "target"), where)
+        for key in ("price", "at"):
+            if key not in given:
+                raise ValueError(f"{where}.{key} is missing: a deviation of `at` from the target costs the price")
+        unit = outputs[name].unit
+        price, at = quantity(given["price"], "-", f"{where}.price"), quantity(given["at"], unit, f"{where}.at")
+        target = quantity(given["target"], unit, f"{where}.target") if "target" in given else 0.0
+        if price < 0:
+            raise ValueError(f"{where}.price = {given['price']!r}: must not be negative")
+        if at <= 0:
+            raise ValueError(f"{where}.at = {given['at']!r}: must be positive")
+        found[name] = QuadraticLoss(price, at, target)
     return found
 
 

@@ -26,7 +26,7 @@ from rvjax.study.values import (
     naming,
 )
 from rvjax.study.variables import Price, changed, fields_of
-from rvjax.tolerances import Cost, Limits, Middle, Nominal, Variable
+from rvjax.tolerances import Cost, Limits, Middle, Nominal, QuadraticLoss, Variable
 
 LONGEST = 200  # characters of a line
 
@@ -95,6 +95,7 @@ class Study:
         variables: numbers of the design that `rvjax design` may choose, by path.
         objective: prices of outputs without errors, by name.
         nominal: limits of outputs without errors, by name.
+        losses: quality losses by response name.
         to_solve: whether the first `response` checks that the unit without errors can be solved.
     """
 
@@ -118,6 +119,7 @@ class Study:
     variables: dict[str, Variable] = dataclasses.field(default_factory=dict)
     objective: dict[str, Price] = dataclasses.field(default_factory=dict)
     nominal: dict[str, Nominal] = dataclasses.field(default_factory=dict)
+    losses: dict[str, QuadraticLoss] = dataclasses.field(default_factory=dict)
     to_solve: bool = dataclasses.field(default=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -125,7 +127,7 @@ class Study:
         accept(self.design)
 
     def response(self, *, solve: bool = True) -> Response:
-        """errors -> Outcome of the responses that the requirements name.
+        """errors -> Outcome of the responses that requirements and losses name.
 
         Args:
             solve: also check the unit without errors, if `load` has left that to the first call.
@@ -138,7 +140,8 @@ class Study:
         if solve and self.to_solve:
             self._solved  # noqa: B018  (once)
         bounds = followed_bounds(self.tolerances)
-        return Response.of(self.design, tuple(self.requirements), self.conditions, self.choices(), bounds)
+        outputs = tuple(dict.fromkeys((*self.requirements, *self.losses)))
+        return Response.of(self.design, outputs, self.conditions, self.choices(), bounds)
 
     def design_response(self, *, similar: bool = True) -> DesignResponse:
         """(errors, values of the variables) -> Outcome of all limited and priced outputs.
@@ -151,7 +154,7 @@ class Study:
         """
         if not self.requirements:
             raise StudyError(f"{self.name}: [requirement] limits no response of the units")
-        outputs = tuple(dict.fromkeys((*self.requirements, *self.without_errors)))
+        outputs = tuple(dict.fromkeys((*self.requirements, *self.losses, *self.without_errors)))
         bounds = followed_bounds(self.tolerances)
         response = Response.of(self.design, outputs, self.conditions, self.choices(), bounds)
         return DesignResponse(response, tuple(sorted(self.given)), similar)

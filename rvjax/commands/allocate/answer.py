@@ -135,6 +135,7 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None, me
         certificate_samples=study.certificate_samples,
         joint_target=study.joint_target,
         middles=study.middles,
+        losses=study.losses,
         grades=any(getattr(study.tolerances, name).size is not None for name in study.fields),
         memo=memo,
         progress=progress,

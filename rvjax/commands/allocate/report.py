@@ -29,6 +29,7 @@ from rvjax.commands.cells import (
     slope_text,
     together_text,
 )
+from rvjax.population import Estimate, deviate_of
 from rvjax.render import (
     CSV,
     EVERYWHERE,
@@ -111,11 +112,36 @@ def headline(answer: Answer) -> str:
         lines.append(f"cost {allocation.start_cost:.3f} -> {allocation.cost:.3f} ({change:+.1f} %)")
         if graded := allocation.graded:
             lines.append(f"with ISO 286 grades: cost {graded.cost:.3f} ({graded.status})")
+        lines += losses_of(answer)
         lines += unlimited_texts(answer.unlimited, study)
     else:
         lines.append("No tolerances within the process ranges were found to meet the requirements; at the finest ones")
     lines += [f"  the limit of {name} {text}" for name, text in shortfalls(study, allocation).items()]
     return "\n".join(lines)
+
+
+def losses_of(answer: Answer) -> list[str]:
+    """Mean losses of the units that do not fail, before and after, and the cost with these."""
+    study, allocation, sums = answer.study, answer.allocation, [answer.allocation.start_cost]
+    if not study.losses:
+        return []
+    lines = []
+    for name, loss in study.losses.items():
+        before, after = (
+            loss.expected(found.mean[name], found.sd[name], deviate_of(found.confidence))
+            for found in (answer.certificate_before, allocation.certificate)
+        )
+        unit, size = study.output(name).shown
+        sums[0] += before.value
+        at, target = (f"{float(value) / size:g} {unit}" for value in (loss.at, loss.target))
+        priced = f"{float(loss.price):g} for {at} off {target}"
+        lines.append(f"mean loss of {name} ({priced}): {before.value:.3f} -> {after.value:.3f}, {_ends(after)}")
+    whole = allocation.objective
+    return [*lines, f"cost with losses {sums[0]:.3f} -> {whole.value:.3f}, {_ends(whole)}"]
+
+
+def _ends(estimate: Estimate) -> str:
+    return f"{estimate.lower:.3f} to {estimate.upper:.3f}"
 
 
 def limits_of_the_answer(answer: Answer) -> list[str]:
@@ -322,6 +348,7 @@ def _data(answer: Answer) -> dict[str, object]:
         "influence": answer.after.influence,
         "limits": {name: limit_text(item, study.output(name)) for name, item in study.requirements.items()},
         "multipliers": allocation.multipliers,
+        **({"losses": allocation.losses, "objective": allocation.objective} if study.losses else {}),
         "shortfall": allocation.shortfall,
         "certificate": allocation.certificate,
         "certificate_before": answer.certificate_before,

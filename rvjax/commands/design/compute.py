@@ -239,6 +239,7 @@ def _optimum(
             costs=study.costs,
             variables=variables,
             objective={name: factor * price(1.0) for name, price in study.objective.items()},
+            losses=study.losses,
             middles=study.middles,
             samples=study.samples,
             seed=study.seed,
