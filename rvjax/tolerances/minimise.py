@@ -28,9 +28,7 @@ if TYPE_CHECKING:
 _FLAT = 0.02  # gradient of a minimum, as a part of all costs: J exceeds the least by about its square
 _ENDS = 16  # independent samples that estimate the end
 _PEAK = 0.1  # rate of adam: with a cosine decay 400 steps move a half-width by up to e^20
-_MEMORY = (
-    0.95  # of squared slopes: 400 steps from half-widths up to 40 times too coarse end within 0.4 %; 145 % with 0.999
-)
+_MEMORY = 0.95  # of squared slopes: from starts up to 40 times too coarse within 0.4 %; with 0.999 145 % off
 
 
 @dataclasses.dataclass(frozen=True)
