@@ -1,4 +1,4 @@
-"""Frozen table of 40 allocations: cost, status, prices, units and CPU seconds, as a judge of changes to the optimiser.
+"""Frozen table of 40 allocations: cost, status, prices, units and CPU seconds, to compare changes with.
 
     python -m benchmarks.optima                                   all rows; a cut run continues
     python -m benchmarks.optima --only study "long lists"         rows by name or kind
@@ -83,15 +83,15 @@ def solved(problem: Problem, seed: int | None, runs: int) -> Row:
 
 
 def figures(problem: Problem, found: Allocation, optimum: float, exact: dict[str, float]) -> Row:
-    """What a result is judged by: its cost, of an infeasible problem its shortfall, over the least one."""
+    """Values to compare: cost, or shortfall of an infeasible problem, over the least one."""
     by_name = lambda figure: figure if isinstance(figure, dict) else {"": figure}  # noqa: E731
     graded = found.graded.cost if found.graded else None
     lack = sum(by_name(found.shortfall).values())
-    judged = lack if problem.right == "INFEASIBLE" else graded if problem.kind == "grades" else found.cost
+    value = lack if problem.right == "INFEASIBLE" else graded if problem.kind == "grades" else found.cost
     status = found.graded.status if found.graded and problem.kind == "grades" else found.status
     row = {
-        "kind": problem.kind, "status": status, "right": problem.right, "cost": judged, "graded": graded,
-        "optimum": optimum, "ratio": judged / optimum, "prices": by_name(found.multipliers), "exact": exact,
+        "kind": problem.kind, "status": status, "right": problem.right, "cost": value, "graded": graded,
+        "optimum": optimum, "ratio": value / optimum, "prices": by_name(found.multipliers), "exact": exact,
     }  # fmt: skip
     return jax.tree.map(lambda x: rounded(x) if isinstance(x, float) else x, row)
 
@@ -184,7 +184,7 @@ def compared(rows: dict[str, Row], frozen: dict[str, Row]) -> bool:
         ratios = [row[key] / old[key] if old[key] else math.nan for key in ("cost", "units", "seconds")]
         words = "; ".join(found) and "FAILS: " + "; ".join(found)
         disturbed = (
-            "" if old["kind"] != "study" or (quiet(row) and quiet(old)) else "CPU seconds not judged: other work"
+            "" if old["kind"] != "study" or (quiet(row) and quiet(old)) else "CPU seconds not compared: other work"
         )
         print(f"{name:36} " + " ".join(f"{ratio:7.4f}" for ratio in ratios) + f"   {words or disturbed}".rstrip())
         passed &= not found
@@ -206,7 +206,7 @@ def digest() -> str:
 
 
 def run(names: list[str], journal: Path | None) -> dict[str, Row]:
-    """Rows, printed as they come; those that the journal has are not run again."""
+    """Run and show the rows; those that the journal has are not run again."""
     FOLDER.mkdir(parents=True, exist_ok=True)
     lines = journal.read_text("utf-8").splitlines() if journal and journal.exists() else []
     made = digest()

@@ -109,8 +109,9 @@ def long_lists() -> Known:
 
 
 def hopeless_number() -> Known:
-    """A stress of 3.2/size^2, at least 0.8 with size <= 2, that must not exceed 0.7; units have room enough."""
-    given = copy.deepcopy(codesign_cases.CASES["refused-0"]["given"])
+    """A stress of 3.2/size^2, at least 0.8 with size <= 2, that must not exceed 0.7; all units meet their limit."""
+    cases = codesign_cases.CASES.values()
+    given = copy.deepcopy(next(case for case in cases if case["expected"].get("status") == "INFEASIBLE")["given"])
     given["requirements"]["y"]["upper"], given["requirements"]["stress"]["upper"] = 2.0, 0.7
     return Known(codesign_cases.arguments(given), 0.1)
 
@@ -159,7 +160,7 @@ def finest_field() -> Known:
 
 
 def cheapest_grades() -> Known:
-    """Grades with tables of costs, against every combination; without exchanges of grades 14 % too dear."""
+    """Grades with tables of costs, against every combination; without exchanges of grades 14 % too expensive."""
     given = grades.problem(14)
     fields = grades.names(len(given.sizes))
     arguments = dict(
@@ -216,7 +217,7 @@ def joint() -> Known:
 
 
 def capability() -> Known:
-    """Cpk >= 1.33 of a - c beside 99.73 % of a + 2 b."""
+    """Cpk >= 1.33 of a - c, and 99.73 % of a + 2 b."""
     slopes, limits = {"y": dict(a=1.0, b=2.0), "x": dict(a=1.0, c=-1.0)}, {"y": LIMIT, "x": LIMIT}
     costs = COSTS | {"c": COSTS["a"]}
     reach = lambda at: {"y": radius(0.9973, at["y"]), "x": at["x"] / 1.33}  # noqa: E731
@@ -261,7 +262,7 @@ def _rows() -> dict[str, Problem]:
     rows = {name: Problem("closed form", functools.partial(published, name)) for name in closed}
     rows["200 fields"] = Problem("200 fields", functools.partial(published, "200 fields"))
     for name in [*codesign_cases.PROGRAMMES, "rv-0"]:
-        right = "INFEASIBLE" if name == "refused-0" else "OPTIMAL"
+        right = codesign_cases.CASES[name]["expected"]["status"]
         kind = kinds.get(name, "codesign")
         rows[name] = Problem(kind, functools.partial(reference, name), right, alone=name == "rv-0")
     for seed in (2, 4, 9, 10, 12):  # curved, uniform, normal, curved and uniform, normal
