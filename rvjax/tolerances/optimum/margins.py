@@ -63,10 +63,10 @@ class Margins:
         samples: int,
         seed: int,
         memo: Memo | None = None,
-        plain: int | None = None,
         losses: Mapping[str, QuadraticLoss] | None = None,
+        lossy: int = 0,
     ) -> None:
-        """Constraints on `samples` units in the tails, and `plain` others (None: as many) for statistics.
+        """Constraints on `samples` units, and `losses` of `lossy` others.
 
         The mean of `losses` is part of the objective. Costly units behind it are few, and followed as those in the
         tails are.
@@ -98,10 +98,9 @@ class Margins:
         self._centres: dict[int, Centres] = {}
         self.lines: dict[int, LimitLines] = {}
         self._lossy = AnchoredUnits(response, decisions, set(self.losses), memo)
-        count = (min(samples, PULLED) if plain is None else plain) if self.losses else 0
-        self._loss_z = SobolPoints(numbers, seed).z(0, count) if count else np.zeros((numbers, 0))
+        self._loss_z = SobolPoints(numbers, seed).z(0, lossy) if self.losses else np.zeros((numbers, 0))
         self._loss_anchors: dict[bytes, Anchor | None] = {}
-        self.plain = SobolPoints(numbers, seed).z(0, plain or samples) if self._plain else np.zeros((numbers, 0))
+        self.plain = SobolPoints(numbers, seed).z(0, samples) if self._plain else np.zeros((numbers, 0))
 
     @property
     def evaluated(self) -> int:

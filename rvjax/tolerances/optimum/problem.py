@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._jax.blocks import PULLED
 from rvjax.population import Estimate, Population, deviate_of
 from rvjax.response import Response, is_costly
 from rvjax.tolerances.batch.memo import Memo
@@ -115,7 +116,7 @@ class Problem:
         limited = self._aimed() if aimed else self.requirements
         return Margins(
             self.response, decisions, limited, dict(self.objective), self.joint_target, count, self.seed, self.memo,
-            None if self.costly else self.samples, self.losses,
+            self.losses, PULLED if self.costly else self.samples,
         )  # fmt: skip
 
     def _aimed(self) -> dict[str, Limits]:
