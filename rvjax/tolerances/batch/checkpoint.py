@@ -21,7 +21,7 @@ from rvjax.response import Response, respond
 from rvjax.tolerances.requirements.kinds import Limits
 
 _SHARE = 10  # times as long computing as writing
-_FORMAT = 2
+_FORMAT = 3
 LARGEST = 2**26
 """Bytes of a state for each response, at most: 16 histograms and what waits for one are 16 MiB."""
 

@@ -32,8 +32,9 @@ class Statistics:
         worst_index: index of the first unit that failed for the worst reason, None without failures.
         mean: `Estimate` of the mean, unit of the response.
         sd: `Estimate` of the standard deviation; its error holds for any distribution.
-        quantiles: {p: `Estimate`}, linear between order statistics; exact with `keep` or up to 4096 units,
-            else within one histogram bin. Intervals are binomial for independent units.
+        quantiles: {p: `Estimate`}, linear between order statistics; exact with `keep` or up to 4096 units, else
+            from counts in bins: the interval contains the bins of its ends. Intervals are binomial for independent
+            units.
         minimum: smallest value.
         maximum: largest value.
         yield_: `Estimate` of the share of units within the limits, Wilson interval; None without limits of units.
