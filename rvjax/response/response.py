@@ -181,7 +181,8 @@ class Outcome(Record):
     """A response with the reason of its failure.
 
     A unit fails if any status is no success (the first by `rvjax.status.PRECEDENCE` counts) or any
-    value is not finite; a bare nan counts as NONFINITE.
+    value is nan, which counts as NONFINITE. An infinite value is one, such as a life without load; statistics count it
+    as a success if the only limit is on the other side, else as NONFINITE.
     """
 
     value: PyTree = field("-", "scalar, or dict or record of scalars", kind="record")
@@ -206,8 +207,8 @@ def evaluate(response: Response, errors: PyTree) -> tuple[Values, jax.Array]:
             shown = f"response[{name!r}]" if name else "response"
             raise ValueError(f"{shown}: must be one real number per unit, got shape {number.shape} {number.dtype}")
         values[name] = number.astype(jnp.result_type(float, number))
-    finite = jnp.all(jnp.stack([jnp.isfinite(number) for number in values.values()]))
-    return values, jnp.where(succeeded(status) & ~finite, jnp.int32(int(Status.NONFINITE)), status)
+    lost = jnp.any(jnp.stack([jnp.isnan(number) for number in values.values()]))
+    return values, jnp.where(succeeded(status) & lost, jnp.int32(int(Status.NONFINITE)), status)
 
 
 def _named(result: object) -> dict[str, PyTree]:

@@ -132,7 +132,9 @@ def _evaluated(
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Values and validity of the first `count` units."""
     values, status = respond(response, population, jnp.asarray(z, jnp.result_type(float)))
-    return {n: np.asarray(v, float)[:count] for n, v in values.items()}, succeeded(np.asarray(status))[:count]
+    found = {n: np.asarray(v, float)[:count] for n, v in values.items()}
+    finite = np.all([np.isfinite(row) for row in found.values()], axis=0)  # no variance counts an infinite value
+    return found, succeeded(np.asarray(status))[:count] & finite
 
 
 class _Sums:

@@ -37,6 +37,8 @@ class Statistics:
             units.
         minimum: smallest value.
         maximum: largest value.
+        infinite: units whose response is infinite on the side without a limit. They are successes, count in yields and
+            quantiles, and take no part in mean, sd, cp and cpk, which are those of the finite responses.
         yield_: `Estimate` of the share of units within the limits, Wilson interval; None without limits of units.
         ppm: `Estimate` of the rejects per million units.
         cp: (U - L)/(6 sd); nan for a one-sided requirement.
@@ -64,6 +66,7 @@ class Statistics:
     quantiles: dict[float, PyTree]
     minimum: PyTree
     maximum: PyTree
+    infinite: PyTree
     yield_: PyTree
     ppm: PyTree
     cp: PyTree
@@ -86,7 +89,7 @@ class Statistics:
         def row(name: str) -> dict[str, object]:
             found: dict[str, object] = {"response": name, **frames.spread("mean", of(self.mean, name))}
             found |= frames.spread("sd", of(self.sd, name))
-            found |= {"minimum": of(self.minimum, name), "maximum": of(self.maximum, name)}
+            found |= {end: of(getattr(self, end), name) for end in ("minimum", "maximum", "infinite")}
             for p, quantile in self.quantiles.items():
                 found |= frames.spread(f"quantile_{p:g}", of(quantile, name))
             found |= frames.spread("yield", of(self.yield_, name))

@@ -327,8 +327,8 @@ class CpkAtLeast(Limits):
 
 
 def _valid(values: np.ndarray) -> np.ndarray:
-    """Numbers of the valid units; none where too many failed for a statistic of the others."""
-    units = np.flatnonzero(~np.isnan(values))
+    """Numbers of the valid units; none where too many failed, or are infinite, for a statistic of the others."""
+    units = np.flatnonzero(np.isfinite(values))
     return units if values.size - units.size <= MOST_FAILED * values.size else units[:0]
 
 
