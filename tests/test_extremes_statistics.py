@@ -9,7 +9,6 @@ import warnings
 import jax.numpy as jnp
 import numpy as np
 import pytest
-
 from scipy import stats
 
 from oracles.linear_pair import COSTS, LIMIT, PAIR, WIDE, linear

@@ -115,7 +115,7 @@ def test_numbers_at_the_ends_of_the_range_of_floats():
 
 @pytest.mark.parametrize("streams", [1, 16])
 def test_infinite_values_have_ranks(streams):
-    """A tenth of the values is -inf, a third inf: quantiles and intervals of kept values, with neither overflow nor NaN."""
+    """A tenth of the values is -inf, a third inf: quantiles and intervals are those of kept values, none is NaN."""
     random = np.random.default_rng(0)
     values = random.normal(size=100_000)
     values[random.random(values.size) < 0.1] = -math.inf

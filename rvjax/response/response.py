@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._ground.choices import UnknownWord, meant
+from rvjax._jax.callbacks import called_back
 from rvjax._jax.compile_cache import Options, inside, kept_folder, understood
 from rvjax.population import Given, Population, drawn
 from rvjax.records import Array, PyTree, Record, field, record
@@ -161,9 +162,10 @@ class Compiled(Generic[R]):
         return known, leaves
 
     def lowered(self, response: Function, *arguments: PyTree, **static: object) -> str:
-        """Text of the program."""
+        """Text of the program, and of the Python functions that it calls back."""
         jitted, first = self._program(response)
-        return str(jitted.lower(*first, *arguments, **static).as_text())
+        traced = jitted.trace(*first, *arguments, **static)
+        return str(traced.lower().as_text()) + called_back(traced.jaxpr)
 
 
 def per_response(*, static: tuple[str, ...] = (), options: Options = ()) -> Callable[[Callable[..., R]], Compiled[R]]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from rvjax._ground.files import DAMAGE, Arrays, versions
 from rvjax._ground.progress import progress_bar
+from rvjax._jax.callbacks import UnseenFunction
 from rvjax._jax.compile_cache import kept_folder
 from rvjax.population import SCRAMBLES, Estimate, Population, Sampled
 from rvjax.records import PyTree
@@ -170,7 +171,10 @@ class Run:
         if self.checkpoint is None:
             return self._empty(keeps=self.keep), None, 0, True
         process, processes = place()
-        study["response"] = response_hash(self.response, self.population)
+        try:
+            study["response"] = response_hash(self.response, self.population)
+        except UnseenFunction as error:
+            raise ValueError(f"checkpoint = {str(self.checkpoint)!r}: {error}; run without a checkpoint") from None
         mine = {"process": f"{process} of {processes}"}
         path, about = of_process(self.checkpoint, process, processes), study | mine | versions()
         file = Checkpoint(path, about, every=self.checkpoint_every)
