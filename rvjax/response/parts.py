@@ -57,7 +57,7 @@ class Part:
     def of_elements(self, population: Population, errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Values (k, n) by `names`, nan where a unit failed, and status (n,), of units with errors (elements, n)."""
         values, status, _ = self._of(population, errors.shape[1], lambda lanes: jnp.asarray(errors[:, lanes]))
-        return np.where(succeeded(np.asarray(status)) & np.isfinite(values), values, np.nan), status
+        return np.where(succeeded(np.asarray(status)), values, np.nan), status
 
     def rows(self, population: Population, z: np.ndarray, name: str) -> np.ndarray:
         """Numbers name[0], name[1] ... (n, numbers) among the values of units with random numbers z (numbers, n)."""
