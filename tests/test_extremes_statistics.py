@@ -79,6 +79,19 @@ def test_an_infinite_life_meets_a_lower_limit(method, keep):
         assert (values == np.inf).sum() == found.infinite and np.isnan(values).sum() == found.failed
 
 
+def test_an_infinite_life_of_a_costly_response():
+    """Solved by the programs of its parts."""
+
+    def costly(errors):
+        return endless(errors)
+
+    costly.costly = True
+    options = dict(samples=2000, seed=0, requirements=Requirement(lower=9.0))
+    found, expected = (monte_carlo(each, ONE, **options) for each in (costly, endless))
+    assert found.infinite == expected.infinite > 200 and found.failed == expected.failed
+    assert found.yield_ == expected.yield_
+
+
 @pytest.mark.parametrize("limits", [dict(upper=30.0), dict(lower=9.0, upper=30.0), None])
 def test_an_infinite_response_that_no_limit_allows_has_failed(limits):
     found = monte_carlo(endless, ONE, samples=5000, seed=0, requirements=limits and Requirement(**limits))

@@ -45,7 +45,7 @@ def check_writable(path: Path) -> None:
     trial = folder / _partial(path).name  # the name itself may be too long, the disk read-only
     with naming(path, folder):
         trial.touch()
-        trial.unlink(missing_ok=True)
+        trial.unlink()
 
 
 @contextlib.contextmanager
