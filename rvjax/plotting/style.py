@@ -2,7 +2,8 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -96,7 +97,8 @@ def stacked_bars(
 _BODY = 20  # part of an axis that the middle 90 % of the values have, at least
 
 
-class Bins(NamedTuple):
+@dataclass(frozen=True)
+class Bins:
     """Bins of a histogram whose middle 90 % of the values have a twentieth of the axis or more.
 
     Attributes:
