@@ -147,6 +147,13 @@ def test_a_variance_that_does_not_exist_has_no_narrow_share(samples):
         agree(found.first["square"], {"a": 2 / 3, "b": 1 / 3, "idle": 0.0}, 0.06)
 
 
+def test_the_variance_of_a_square_is_trusted():
+    """Few units, of which the largest has a tenth of the variance or more: its fourth moment exists."""
+    pair = {"a": Tolerance.symmetric(3.0), "b": Tolerance.symmetric(3.0)}
+    runs = [sobol_indices(lambda e: e["a"] ** 2 + e["b"], pair, samples=128, seed=seed) for seed in range(20)]
+    assert all(run.trusted and run.total["b"].upper < 1 for run in runs)
+
+
 def test_a_variance_that_converges_slowly_has_honest_shares():
     """A power of 0.4: the fourth moment does not exist, the variance does. Oracle: quadrature.
 
