@@ -108,7 +108,7 @@ class Bins:
         beyond: text on the values outside, for the label of the axis; "" without any.
     """
 
-    edges: np.ndarray
+    edges: Any  # (bins + 1,)
     step: float
     per: str
     beyond: str
