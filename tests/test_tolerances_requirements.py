@@ -9,19 +9,21 @@ least one for that figure.
 import dataclasses
 import math
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
 
 from oracles.linear_pair import COSTS, PAIR, linear
 from oracles.responses import Failing, Linear
-from rvjax.population import score_interval
+from rvjax.population import Estimate, score_interval
 from rvjax.population.sample_statistics import CentralMoments, Sampled
 from rvjax.tolerances import (
     CpkAtLeast,
     MeanWithin,
     Requirement,
     Tolerance,
+    WorstCaseWithin,
     allocate,
     cost_curve,
     failure_probability,
@@ -221,3 +223,9 @@ def test_an_infinite_life_is_no_margin_to_search_by():
     units = need.pull(np.r_[np.full(20, np.inf), np.linspace(10, 8, 70), np.full(10, np.nan)], 0.0, 2.0, 16).units
     assert len(units) == 16 and (units >= 20).all() and (units < 90).all()
     assert MeanWithin(lower=1.0).learned(lives, 2.0) == math.inf  # too many units that no mean includes
+    endless = Estimate(math.inf, 0.0, math.inf, math.inf)
+    assert WorstCaseWithin(lower=1.0).holds(endless) and not WorstCaseWithin(upper=1.0).holds(endless)
+    one = {"a": Tolerance.symmetric(3.0)}
+    for item, met in ((WorstCaseWithin(lower=6.0), True), (WorstCaseWithin(upper=20.0), False)):
+        life = lambda e: jnp.where(e["a"] > 1, jnp.inf, 10 + e["a"])  # noqa: E731
+        assert monte_carlo(life, one, samples=100, seed=0, requirements=item).verdicts.met is met
