@@ -138,6 +138,19 @@ def test_two_processes_that_write_one_file_do_not_mix(tmp_path):
     assert len(path.read_bytes()) == 199_000 and [file.name for file in tmp_path.iterdir()] == ["a"]
 
 
+def test_two_processes_check_one_folder_at_once(tmp_path):
+    """As two commands of one study begin: neither takes away the trial file of the other, and none is left."""
+    script = (
+        "import sys; from pathlib import Path; from rvjax._ground.files import check_writable\n"
+        "for _ in range(3000): check_writable(Path(sys.argv[1]))"
+    )
+    command = [sys.executable, "-c", script, str(tmp_path / "results" / "study")]
+    checks = [subprocess.Popen(command, stderr=subprocess.PIPE) for _ in range(2)]
+    said = [check.communicate()[1] for check in checks]
+    assert [check.returncode for check in checks] == [0, 0], said
+    assert not list(tmp_path.iterdir())
+
+
 def test_two_runs_of_one_study_write_two_folders(tmp_path, monkeypatch):
     """Both chose the same folder when they began."""
     monkeypatch.chdir(tmp_path)

@@ -9,12 +9,24 @@ import warnings
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import stats
 
-from oracles.linear_pair import COSTS, PAIR, WIDE, linear
+from oracles.linear_pair import COSTS, LIMIT, PAIR, WIDE, linear
 from rvjax._ground.files import PARTIAL, write_atomically
+from rvjax.status import Status
 from rvjax.study import StudyError
 from rvjax.study.read import EMBEDDED, parse_study
-from rvjax.tolerances import Requirement, Tolerance, allocate, monte_carlo, save
+from rvjax.tolerances import (
+    CpkAtLeast,
+    MeanWithin,
+    Outcome,
+    Requirement,
+    Tolerance,
+    allocate,
+    load,
+    monte_carlo,
+    save,
+)
 from rvjax.tolerances.batch import checkpoint
 from rvjax.units import um
 
@@ -36,6 +48,99 @@ def test_nan_from_a_response_is_a_reject_with_a_reason():
     assert np.isnan(values).sum() == found.failed and not np.isinf(values).any()
     assert found.yield_.value == pytest.approx(1 - found.failed / 5000, abs=1e-12)
     assert np.isfinite(found.mean.value)
+
+
+def endless(errors):
+    """A life that one unit in six never ends, and one in a hundred that has none."""
+    a = errors["a"]
+    return jnp.where(a > 1, jnp.inf, jnp.where(a < -2.326, jnp.nan, 10 + a))
+
+
+@pytest.mark.parametrize("method", ["random", "sobol"])
+@pytest.mark.parametrize("keep", [True, False])
+def test_an_infinite_life_meets_a_lower_limit(method, keep):
+    """Oracle: counts of the errors themselves. The statistics say how many units are infinite; NaN stays a reject."""
+    options = dict(samples=20_000, seed=0, method=method, keep=keep, quantiles=(0.5, 0.95))
+    a = np.asarray(monte_carlo(lambda e: e["a"], ONE, **(options | dict(keep=True))).values)
+    found = monte_carlo(endless, ONE, requirements=Requirement(lower=9.0), **options)
+    mirrored = monte_carlo(lambda e: -endless(e), ONE, requirements=Requirement(upper=-9.0), **options)
+    assert found.infinite == mirrored.infinite == (a > 1).sum() > 3000
+    assert found.failures == mirrored.failures == {"NONFINITE": (a < -2.326).sum()}
+    assert found.yield_.value == found.joint_yield.value == mirrored.yield_.value == (a >= -1).mean()
+    body = 10 + a[(a <= 1) & (a >= -2.326)]
+    assert found.mean.value == pytest.approx(body.mean()) and found.sd.value == pytest.approx(body.std(ddof=1))
+    assert mirrored.mean.value == pytest.approx(-found.mean.value)
+    for share, value in ((0.5, np.quantile(10 + a[a >= -2.326], 0.5)), (0.95, np.inf)):
+        assert found.quantiles[share].value == pytest.approx(value, abs=1e-3)
+        assert not np.isnan(found.quantiles[share].error)
+    assert (found.maximum, mirrored.minimum) == (np.inf, -np.inf) and found.minimum == body.min()
+    if keep:
+        values = np.asarray(found.values)
+        assert (values == np.inf).sum() == found.infinite and np.isnan(values).sum() == found.failed
+
+
+def test_an_infinite_life_of_a_costly_response():
+    """Solved by the programs of its parts."""
+
+    def costly(errors):
+        return endless(errors)
+
+    costly.costly = True
+    options = dict(samples=2000, seed=0, requirements=Requirement(lower=9.0))
+    found, expected = (monte_carlo(each, ONE, **options) for each in (costly, endless))
+    assert found.infinite == expected.infinite > 200 and found.failed == expected.failed
+    assert found.yield_ == expected.yield_
+
+
+@pytest.mark.parametrize("limits", [dict(upper=30.0), dict(lower=9.0, upper=30.0), None])
+def test_an_infinite_response_that_no_limit_allows_has_failed(limits):
+    found = monte_carlo(endless, ONE, samples=5000, seed=0, requirements=limits and Requirement(**limits))
+    assert 0.1 < found.failed / found.samples < 0.2 and set(found.failures) == {"NONFINITE"}
+    assert found.infinite == 0 and np.isfinite([found.mean.value, found.sd.value, found.maximum]).all()
+
+
+def test_a_unit_that_says_it_failed_has_failed_whatever_its_value():
+    said = lambda e: Outcome(endless(e), jnp.where(e["a"] > 1, int(Status.NONFINITE), int(Status.CONVERGED)))  # noqa: E731
+    found = monte_carlo(said, ONE, samples=5000, seed=0, requirements=Requirement(lower=9.0))
+    assert found.infinite == 0 and found.failed > 500 and found.yield_.value < 0.8
+
+
+def test_infinite_units_are_missing_from_statistics_of_valid_ones():
+    """Few enough failed, but a sixth is infinite: mean and Cpk of the others prove nothing."""
+    life = lambda e: jnp.where(e["a"] > 1, jnp.inf, 10 + e["a"])  # noqa: E731
+    for item in (CpkAtLeast(lower=1.0, cpk=1.0), MeanWithin(lower=1.0)):
+        verdict = monte_carlo(life, ONE, samples=5000, seed=0, requirements=item).verdicts
+        assert verdict.estimate.value > 1 and not verdict.met
+
+
+def test_a_certificate_counts_infinite_lives():
+    """Half of all lives are infinite: of the others 2 % may miss the limit, where 1 % of all units may."""
+
+    def life(errors):
+        return {"life": jnp.where(errors["c"] > 0, jnp.inf, linear(errors))}
+
+    limits = {"life": Requirement(lower=-LIMIT, target=0.99)}
+    three = PAIR | {"c": Tolerance.symmetric(1.0)}
+    found = allocate(life, three, limits, costs=COSTS | {"c": None}, samples=4096, certificate_samples=50_000)
+    sd = np.sqrt(found.half_widths["a"] ** 2 + 4 * found.half_widths["b"] ** 2) / 3
+    certified = found.certificate.yield_["life"]
+    assert found.feasible and certified.lower >= 0.99 and found.certificate.failed == 0
+    assert found.certificate.infinite["life"] == pytest.approx(25_000, abs=500)
+    assert abs(certified.value - (1 - stats.norm.cdf(-LIMIT / sd) / 2)) <= 4 * certified.error
+
+
+def test_infinite_units_are_kept_in_files_and_checkpoints(tmp_path):
+    options = dict(samples=9000, seed=1, chunk=1000, requirements=Requirement(lower=9.0))
+    expected = monte_carlo(endless, ONE, **options)
+    monte_carlo(endless, ONE, checkpoint=tmp_path / "c", **(options | dict(samples=3000)))
+    found = monte_carlo(endless, ONE, checkpoint=tmp_path / "c", save=tmp_path / "u.csv", **options)
+    for name in ("mean", "quantiles", "yield_", "infinite", "maximum"):
+        assert getattr(found, name) == getattr(expected, name)
+    rows = [line.split(",") for line in (tmp_path / "u.csv").read_text().splitlines()[1:]]
+    assert sum(row[2] == "inf" for row in rows) == found.infinite
+    assert sum(row[1] == "NONFINITE" and not row[2] for row in rows) == found.failed
+    save(found, tmp_path / "a.json")
+    assert load(tmp_path / "a.json").infinite == found.infinite
 
 
 @pytest.mark.parametrize("samples", [1, 7])

@@ -49,6 +49,35 @@ def test_histogram_marks_both_limits_in_readable_units():
     assert plotting.response_histogram(np.zeros(5), np.zeros(5), unit="m", name="constant")
 
 
+def life(seed):
+    """A life whose mean does not exist: nine tenths are below 30,000, the largest of 4096 near 1e17."""
+    return 1e4 * np.abs(2 + np.random.default_rng(seed).normal(size=4096)) ** (-10 / 3)
+
+
+def test_histogram_of_a_heavy_tail_shows_its_body():
+    """On a logarithmic axis where all values are positive, else between ends that few units are beyond."""
+    ends = np.append(life(0), [np.inf, np.inf])
+    axes = plotting.response_histogram(life(1), ends, unit="s", name="life", lower=100.0)
+    assert axes.get_xscale() == "log" and axes.get_ylabel() == "density (1/decade)"
+    bars = axes.patches[:80]
+    step = np.log10(bars[0].get_x() + bars[0].get_width()) - np.log10(bars[0].get_x())
+    assert sum(bar.get_height() * step for bar in bars) == pytest.approx(4096 / 4098)
+    assert sum(bar.get_height() * step > 2e-3 for bar in bars) > 15  # on a linear axis one bar would have all
+    assert {text.get_text() for text in axes.get_legend().get_texts()} == {
+        "before", "after, 2 of 4,098 units infinite", "limit 100 s"
+    }  # fmt: skip
+    signed = life(0) * np.where(np.arange(4096) % 2, 1, -1)
+    for axes, bins in (
+        (plotting.response_histogram(signed, signed, unit="s", name="change"), 80),
+        (plotting.batch_histograms({"some": signed}, unit="s", name="change"), 120),
+        (plotting.dynamics.spread(signed, mean=0.0, sd=1e3, unit="s", name="change"), 60),
+    ):
+        bars, beyond = axes.patches[:bins], np.mean(np.abs(signed) > 3e5)
+        assert axes.get_xscale() == "linear" and sum(bar.get_height() > 0 for bar in bars) > bins / 2
+        assert 0.9 < sum(bar.get_height() * bar.get_width() for bar in bars) < 1 - beyond
+        assert "units are beyond the axis" in axes.get_xlabel()
+
+
 def test_shares_fill_the_bar():
     axes = plotting.variance_shares({"a": {"x": 0.25, "y": 0.75}, "b": {"x": 1.0, "y": 0.0}}, title="shares")
     assert sum(bar.get_width() for bar in axes.patches) == pytest.approx(200)

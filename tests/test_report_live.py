@@ -55,6 +55,20 @@ def test_a_change_that_rounds_to_nothing_has_no_sign():
     assert told == ["0.0", "0.0", "-1.3", "+1250.0"]
 
 
+def test_a_histogram_of_a_heavy_tail_has_the_span_of_its_body():
+    """As `plotting.style.readable_bins` cuts the axis: four widths of the middle 90 % where that is a 20th of all."""
+    body = np.linspace(100, 200, 999)
+    spans = in_node("return input.map((values) => Live.ends(values));", list(body), [*body, 1e9], [-1e9, *body], [3, 3])
+    width = 0.9 * 100
+    assert spans[0] == [100, 200] and spans[3] == [3, 3]
+    assert spans[1] == pytest.approx([100, 195 + 2 * width], abs=0.3)  # by ranks, 0.1 apart
+    assert spans[2] == pytest.approx([105 - 2 * width, 200], abs=0.3)
+    shares = in_node(
+        "return Array.from(Live.counted(...input));", [0, 1, 5, 9.99, 10, 11], [1, 2, 4, 8, 16, 32], [0, 10], 2
+    )
+    assert shares == [3, 28]  # what lies outside is in no bin
+
+
 def test_a_number_that_a_slider_does_not_take_is_said():
     told = in_node("return input.map((wanted) => Live.taken(wanted, 1, 20, (x) => `${x} µm`));", 5, 25, 0.5, None)
     assert told == [

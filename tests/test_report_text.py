@@ -125,7 +125,9 @@ def test_a_batch_says_how_many_units_failed_why_and_how_they_count():
         assert f"{count} {status} (unit {found.examples[status]})" in line
     told = report_on(found, question).json()
     assert (told["failed"], told["failures"], told["examples"]) == (found.failed, counts, found.examples)
-    assert failures_text(SimpleNamespace(failed=0)) == "0 failed"
+    assert failures_text(SimpleNamespace(failed=0, infinite={"life": 0})) == "0 failed"
+    endless = failures_text(SimpleNamespace(failed=0, infinite={"play": 0, "life": 1200}))
+    assert endless == "0 failed; infinite: life of 1,200 units (mean, sd and Cpk exclude them)"
 
 
 def test_a_saving_is_a_negative_change():

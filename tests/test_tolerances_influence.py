@@ -5,6 +5,7 @@ s_a^2 s_b^2, and the square of the length of a vector of two has 4 s^4. Interval
 (binomial, one case in 400); an exact one misses 5.
 """
 
+import math
 import re
 
 import jax.numpy as jnp
@@ -194,3 +195,17 @@ def test_cells_of_the_tables():
     together = influences(product, PAIR)[""]
     said = f"errors act together; before scaling the shares sum to: y {100 * together.total.value:.0f} %."
     assert together_text({"life": found, "y": together}) == said
+
+
+@pytest.mark.parametrize("units", [1024, 4096])
+def test_a_variance_that_does_not_exist_has_no_narrow_share(units):
+    """A life: one unit has most of the sampled variance. A linear response of the same units has its closed form."""
+    pair = {"a": Tolerance.symmetric(3.0), "b": Tolerance.symmetric(3.0)}
+    life = lambda e: {"life": jnp.abs(2 + e["a"]) ** (-10 / 3) * (1 + 0.3 * e["b"]), "sum": e["a"] + e["b"]}  # noqa: E731
+    for seed in range(3):
+        found = influences(life, pair, seed=seed, units=units)
+        for share in found["life"].shares.values():
+            assert share.lower <= 0 and share.upper >= 1
+        assert (found["life"].total.lower, found["life"].total.upper) == (0.0, math.inf)
+        for share in found["sum"].shares.values():
+            assert (share.value, share.lower, share.upper) == pytest.approx((0.5, 0.5, 0.5))

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import optimize, stats
 
 import rvjax
 from oracles.known_optima import many_fields
@@ -176,6 +176,25 @@ def test_histogram_quantiles_equal_kept_ones_within_a_bin():
         for end in ("value", "lower", "upper"):
             assert getattr(coarse.quantiles[p], end) == pytest.approx(getattr(exact, end), abs=bin_width)
         assert exact.error == pytest.approx((exact.upper - exact.lower) / (2 * 1.959964), rel=1e-6)
+
+
+def life(e):
+    return 1e4 * jnp.abs(2 + e["a"]) ** (-10 / 3)
+
+
+def test_the_median_of_a_heavy_tail_is_that_of_kept_values():
+    """A life: the largest of the first units is 1e13 times the median."""
+    one = {"a": Tolerance.symmetric(3.0)}
+    # |2 + a| has its median at x with Phi(x - 2) - Phi(-x - 2) = 1/2.
+    x = optimize.brentq(lambda x: stats.norm.cdf(x - 2) - stats.norm.cdf(-x - 2) - 0.5, 0, 10)
+    for method in ("random", "sobol"):
+        kept, found = (
+            monte_carlo(life, one, samples=200_000, seed=1, chunk=30_000, method=method, keep=keep).quantiles[0.5]
+            for keep in (True, False)
+        )
+        assert found.lower < 1e4 * x ** (-10 / 3) < found.upper < 1.03 * found.lower
+        assert found.lower <= kept.value <= found.upper
+        assert found.error < kept.error + 0.3  # two bins
 
 
 def failing(e):

@@ -9,19 +9,21 @@ least one for that figure.
 import dataclasses
 import math
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
 
 from oracles.linear_pair import COSTS, PAIR, linear
 from oracles.responses import Failing, Linear
-from rvjax.population import score_interval
+from rvjax.population import Estimate, score_interval
 from rvjax.population.sample_statistics import CentralMoments, Sampled
 from rvjax.tolerances import (
     CpkAtLeast,
     MeanWithin,
     Requirement,
     Tolerance,
+    WorstCaseWithin,
     allocate,
     cost_curve,
     failure_probability,
@@ -208,3 +210,22 @@ def test_the_certified_margin_is_where_a_share_just_proves_its_target(limits):
 
     assert holds(margin + 1e-9) and not holds(margin - 1e-9)
     assert Requirement(**limits, target=0.95).certified_margin(values[:40], 1.96) == math.inf
+
+
+def test_an_infinite_life_is_no_margin_to_search_by():
+    """Where the unit at the target is infinitely far inside, it counts as the nominal one."""
+    need = Requirement(lower=9.0, target=0.5)
+    lives = np.r_[np.full(60, np.inf), np.linspace(9.5, 8.5, 40)]
+    assert need.learned(lives, 2.0) == -2.0
+    mixed = np.r_[np.full(50, np.inf), np.linspace(9.5, 8.5, 50)]  # the quantile lies between an infinite and a finite
+    assert need.learned(mixed, 2.0) == -0.5 == need.learned(np.r_[mixed, 9.5, np.inf], 2.0)
+    assert need.learned(np.r_[np.full(10, np.inf), np.full(90, 8.0)], 2.0) == pytest.approx(1.0)
+    units = need.pull(np.r_[np.full(20, np.inf), np.linspace(10, 8, 70), np.full(10, np.nan)], 0.0, 2.0, 16).units
+    assert len(units) == 16 and (units >= 20).all() and (units < 90).all()
+    assert MeanWithin(lower=1.0).learned(lives, 2.0) == math.inf  # too many units that no mean includes
+    endless = Estimate(math.inf, 0.0, math.inf, math.inf)
+    assert WorstCaseWithin(lower=1.0).holds(endless) and not WorstCaseWithin(upper=1.0).holds(endless)
+    one = {"a": Tolerance.symmetric(3.0)}
+    for item, met in ((WorstCaseWithin(lower=6.0), True), (WorstCaseWithin(upper=20.0), False)):
+        life = lambda e: jnp.where(e["a"] > 1, jnp.inf, 10 + e["a"])  # noqa: E731
+        assert monte_carlo(life, one, samples=100, seed=0, requirements=item).verdicts.met is met

@@ -42,11 +42,10 @@ def check_writable(path: Path) -> None:
     folder = next(p for p in path.absolute().parents if p.exists())
     if not folder.is_dir():
         raise NotADirectoryError(f"{path}: {folder} is not a folder")
-    trial = folder / (path.name + PARTIAL)  # the name itself may be too long, the disk read-only
-    if not trial.exists():
-        with naming(path, folder):
-            trial.touch()
-            trial.unlink()
+    trial = folder / _partial(path).name  # the name itself may be too long, the disk read-only
+    with naming(path, folder):
+        trial.touch()
+        trial.unlink()
 
 
 @contextlib.contextmanager
@@ -92,7 +91,7 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         OSError: it cannot be written; the old content stays.
     """
-    partial = path.with_name(f"{path.name}.{os.getpid()}{PARTIAL}")  # two processes never share one
+    partial = _partial(path)
     try:
         with naming(path, path.absolute().parent):
             yield partial
@@ -102,6 +101,11 @@ def replacing(path: Path) -> Iterator[Path]:
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
+
+
+def _partial(path: Path) -> Path:
+    """Scratch file next to a file, with the number of the process: two processes never share it."""
+    return path.with_name(f"{path.name}.{os.getpid()}{PARTIAL}")
 
 
 def pack(arrays: Arrays) -> bytes:

@@ -57,7 +57,7 @@ def respond(
         if len(values) != 1:
             raise ValueError(f"response: must be one number, it has {', '.join(values)}")
         (value,) = values.values()
-        return jnp.where(succeeded(status), value, jnp.nan)
+        return jnp.where(succeeded(status) & jnp.isfinite(value), value, jnp.nan)
 
     return jax.vmap(one)(leaves, index)
 

@@ -154,11 +154,13 @@ def price_text(study: Study, prices: Mapping[str, float]) -> str:
 
 
 def failures_text(found: Statistics) -> str:
-    """Text on failed units: number, statuses, and one unit of each status."""
-    if not found.failed:
-        return "0 failed"
-    kinds = (f"{count:,} {name} (unit {found.examples[name]})" for name, count in found.failures.items())
-    return f"{found.failed:,} failed, each a reject in every yield: {', '.join(kinds)}"
+    """Text on failed units: number, statuses, and one unit of each status; on units with an infinite response."""
+    text = "0 failed"
+    if found.failed:
+        kinds = (f"{count:,} {name} (unit {found.examples[name]})" for name, count in found.failures.items())
+        text = f"{found.failed:,} failed, each a reject in every yield: {', '.join(kinds)}"
+    endless = ", ".join(f"{name} of {count:,} units" for name, count in found.infinite.items() if count)
+    return f"{text}; infinite: {endless} (mean, sd and Cpk exclude them)" if endless else text
 
 
 def condition_text(value: Any, about: Mapping[str, Any]) -> str:

@@ -58,7 +58,7 @@ def predict(
             kept = good & (number >= limits.lower) & (number <= limits.upper)
             found[name] = wilson(int(kept.sum()), draws, confidence)
         else:
-            found[name] = _summary(number[good], confidence)
+            found[name] = _summary(number[good & np.isfinite(number)], confidence)
     return unwrapped(found)
 
 

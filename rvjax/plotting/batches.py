@@ -12,7 +12,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from rvjax.plotting.style import AFTER, BEFORE, PALETTE, Numbers, limit_lines, look, new_axes, stacked_bars, words
+from rvjax.plotting.style import (
+    AFTER,
+    BEFORE,
+    PALETTE,
+    Numbers,
+    limit_lines,
+    look,
+    new_axes,
+    readable_bins,
+    stacked_bars,
+    words,
+)
 from rvjax.tolerances import Estimate
 from rvjax.units import arcsec, readable
 
@@ -108,19 +119,19 @@ def batch_histograms(
     axes = new_axes(axes)
     shown, size = readable(unit)
     values = {label: np.asarray(v)[np.isfinite(v)] / size for label, v in batches.items()}
-    bins: Any = np.linspace(min(v.min() for v in values.values()), max(v.max() for v in values.values()), 121)
+    bins = readable_bins(axes, np.concatenate(list(values.values())), 120, shown)
     for k, (label, found) in enumerate(values.items()):
         units = len(batches[label])
-        weights = np.full(len(found), 1 / (units * (bins[1] - bins[0])))
+        weights = np.full(len(found), 1 / (units * bins.step))
         text = f"{words(label)}, {'' if len(found) == units else f'{len(found):,} of '}{units:,} units"
         if k == 0:
-            axes.hist(found, bins, weights=weights, color=AFTER, alpha=0.7, label=text)
+            axes.hist(found, bins.edges, weights=weights, color=AFTER, alpha=0.7, label=text)
         else:
             look = ((PALETTE[7], "-", 1.2), (BEFORE, "--", 1.8), (PALETTE[2], "-.", 1.2))[(k - 1) % 3]
             options: Any = dict(zip(("color", "ls", "lw"), look))
-            axes.hist(found, bins, weights=weights, histtype="step", label=text, **options)
+            axes.hist(found, bins.edges, weights=weights, histtype="step", label=text, **options)
     limit_lines(axes, limits, shown, size)
-    axes.set(xlabel=f"{words(name)} ({shown})", ylabel=f"density (1/{shown})")
+    axes.set(xlabel=f"{words(name)} ({shown}){bins.beyond}", ylabel=f"density (1/{bins.per})")
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return axes
 

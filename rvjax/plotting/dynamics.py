@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from rvjax.dynamics import Modes, Periodic, Response
-from rvjax.plotting.style import AFTER, BEFORE, DASHES, PALETTE, Numbers, new_axes, words
+from rvjax.plotting.style import AFTER, BEFORE, DASHES, PALETTE, Numbers, new_axes, readable_bins, words
 from rvjax.units import readable, rpm
 
 KIND_STYLES = {
@@ -198,11 +198,16 @@ def spread(values: Numbers, *, mean: float, sd: float, unit: str, name: str, axe
     axes = new_axes(axes)
     shown, size = readable(unit)
     found = np.asarray(values)[np.isfinite(values)] / size
-    axes.hist(found, 60, density=True, color=AFTER, alpha=0.6, label=f"Monte Carlo, {len(found)} units")
-    line, centre, width = np.linspace(found.min(), found.max(), 300), mean / size, sd / size
+    bins = readable_bins(axes, found, 60, shown)
+    weights = np.full(len(found), 1 / (max(1, len(found)) * bins.step))
+    axes.hist(found, bins.edges, weights=weights, color=AFTER, alpha=0.6, label=f"Monte Carlo, {len(found)} units")
+    of_decades, centre, width = bins.per == "decade", mean / size, sd / size
+    line = (np.geomspace if of_decades else np.linspace)(bins.edges[0], bins.edges[-1], 300)
     normal = np.exp(-(((line - centre) / width) ** 2) / 2) / (width * np.sqrt(2 * np.pi))
+    normal *= line * np.log(10) if of_decades else 1.0
     axes.plot(line, normal, color=BEFORE, lw=1.8, label=f"first order, sd {width:.3g} {shown}")
-    axes.set(xlabel=f"{words(name)} ({shown})", ylabel=f"density (1/{shown})", title=f"Spread of {words(name)}")
+    axes.set(xlabel=f"{words(name)} ({shown}){bins.beyond}", ylabel=f"density (1/{bins.per})")
+    axes.set_title(f"Spread of {words(name)}")
     axes.set_ylim(0, 1.25 * axes.get_ylim()[1])  # space for the legend
     axes.legend(loc="upper center", ncols=2)
     return axes

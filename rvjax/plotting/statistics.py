@@ -9,7 +9,18 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from rvjax.plotting.style import AFTER, BEFORE, LIMIT, Numbers, limit_lines, look, new_axes, stacked_bars, words
+from rvjax.plotting.style import (
+    AFTER,
+    BEFORE,
+    LIMIT,
+    Numbers,
+    limit_lines,
+    look,
+    new_axes,
+    readable_bins,
+    stacked_bars,
+    words,
+)
 from rvjax.units import readable
 
 
@@ -110,15 +121,19 @@ def response_histogram(
     """
     axes = new_axes(axes)
     shown, size = readable(unit, read_in)
-    values = [np.asarray(v)[np.isfinite(v)] / size for v in (before, after)]
-    drawn = np.concatenate(values)
-    bins: Any = np.linspace(drawn.min(), drawn.max(), 81) if np.unique(drawn).size > 1 else 10
-    if values[1].size:  # every unit may have failed
-        axes.hist(values[1], bins, density=True, color=AFTER, alpha=0.75, label="after")
-    if values[0].size:
-        axes.hist(values[0], bins, density=True, histtype="step", color=BEFORE, lw=1.6, ls="--", label="before")
+    whole = [np.asarray(v)[~np.isnan(v)] / size for v in (before, after)]
+    values = [v[np.isfinite(v)] for v in whole]
+    bins = readable_bins(axes, np.concatenate(values), 80, shown)
+    looks: Any = (dict(histtype="step", color=BEFORE, lw=1.6, ls="--"), dict(color=AFTER, alpha=0.75))
+    for label, all_of, finite, drawn in reversed(list(zip(("before", "after"), whole, values, looks))):
+        if finite.size:  # every unit may have failed
+            endless = len(all_of) - len(finite)
+            text = f"{label}, {endless:,} of {len(all_of):,} units infinite" if endless else label
+            weights = np.full(len(finite), 1 / (len(all_of) * bins.step))
+            axes.hist(finite, bins.edges, weights=weights, label=text, **drawn)
     limit_lines(axes, (lower, upper), shown, size)
-    axes.set(xlabel=f"{words(name)} ({shown})", ylabel=f"density (1/{shown})", title=f"Distribution of {words(name)}")
+    axes.set(xlabel=f"{words(name)} ({shown}){bins.beyond}", ylabel=f"density (1/{bins.per})")
+    axes.set_title(f"Distribution of {words(name)}")
     axes.legend()
     return axes
 

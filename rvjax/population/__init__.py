@@ -4,11 +4,13 @@ from rvjax.population.estimates import (
     Estimate,
     deviate_of as deviate_of,
     of_groups as of_groups,
+    one_decides as one_decides,
     rare as rare,
     score_interval as score_interval,
     share_error as share_error,
     skewed as skewed,
     student as student,
+    unknown_share as unknown_share,
     wilson as wilson,
 )
 from rvjax.population.measured import MeasuredColumn, MeasuredParts, measured

@@ -14,6 +14,8 @@ FEW = 160
 """With fewer hits or misses than this a share counts as no better than one of independent units: ten per
 scramble are too few to show by their spread that it is."""
 
+_DECIDES, _FEW_TERMS = 0.1, 48.0  # part of one term in a sum of very many; of 1024 it is 0.25, of 128 it is 0.52
+
 _UNSEEN_SKEWNESS = 2.0  # times that of 16 values: covers 94 % of chi-square and lognormal cases, 1 covers 90 %
 
 
@@ -103,6 +105,29 @@ def skewed(value: float, error: float, skewness: float, n: float, deviate: float
 
     lower, upper = min(way(deviate), -deviate), max(way(-deviate), deviate)
     return Estimate(value, error, value + error * lower, value + error * upper)
+
+
+def one_decides(largest: float, whole: float, n: float) -> bool:
+    """True if one of n positive terms has so large a part of their sum that their mean may not exist.
+
+    Of squares of 1024 values: exponential 0, squared normal 1, lognormal (0.83) 38 of 1000 samples; of Pareto values
+    with index 2, 1.5, 1, 0.3, whose variance does not exist, 559, 770, 949, 1000.
+
+    Args:
+        largest: of the terms.
+        whole: their sum.
+        n: terms.
+    """
+    return largest > _DECIDES * (1 + _FEW_TERMS / math.sqrt(n)) * whole
+
+
+def unknown_share(share: Estimate) -> Estimate:
+    """Return a share with the interval of one that nothing is known of.
+
+    Args:
+        share: the estimate.
+    """
+    return Estimate(share.value, 0.5, min(0.0, share.value), max(1.0, share.value))
 
 
 def of_groups(figures: np.ndarray, value: float, confidence: float) -> Estimate:

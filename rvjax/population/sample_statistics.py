@@ -222,7 +222,7 @@ class Sampled:
         return self._figure(of, alone)
 
     def failed(self) -> Estimate:
-        """Return the share of failed units."""
+        """Return the share of units that moments exclude: failed ones, and those whose response is infinite."""
         return self.share(self.seen - np.array([part.n for part in self.streams]))
 
     def share(self, passed: np.ndarray | None = None) -> Estimate:

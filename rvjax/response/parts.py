@@ -13,7 +13,7 @@ from rvjax.response.devices import Evaluator
 from rvjax.response.gradients import begin_gradients, elements, gradients
 from rvjax.response.response import Response, Values, is_costly, response_names
 from rvjax.response.solving import Errors, Solution, begin, chunks, pulls, solution, solve, without_errors
-from rvjax.status import succeeded, worst
+from rvjax.status import Status, succeeded, worst
 
 
 class Part:
@@ -26,11 +26,16 @@ class Part:
 
     def solve(self, population: Population, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Values (k, n) by `names`, and status (n,), of the units with random numbers z (numbers, n)."""
-        return self.solution(population, z)[:2]
+        return self._of(population, z.shape[1], _drawn(population, z))[:2]
 
     def solution(self, population: Population, z: np.ndarray) -> Solution:
-        """Values (k, n), status (n,) and state (numbers, n): what `slopes` of these units need."""
-        return self._of(population, z.shape[1], _drawn(population, z))
+        """Values (k, n), status (n,) and state (numbers, n): what `slopes` of these units need.
+
+        An infinite value is a failure here: no line through other values foresees it.
+        """
+        values, status, state = self._of(population, z.shape[1], _drawn(population, z))
+        endless = succeeded(np.asarray(status)) & np.isinf(values).any(axis=0)
+        return values, np.where(endless, int(Status.NONFINITE), status).astype(np.int32), state
 
     def slopes(self, population: Population, z: np.ndarray, state: np.ndarray, cotangents: np.ndarray) -> np.ndarray:
         """Gradients (elements, n) of weighted values of solved units, which are not solved again.

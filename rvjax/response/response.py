@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._ground.choices import UnknownWord, meant
+from rvjax._jax.callbacks import called_back
 from rvjax._jax.compile_cache import Options, inside, kept_folder, understood
 from rvjax.population import Given, Population, drawn
 from rvjax.records import Array, PyTree, Record, field, record
@@ -161,9 +162,10 @@ class Compiled(Generic[R]):
         return known, leaves
 
     def lowered(self, response: Function, *arguments: PyTree, **static: object) -> str:
-        """Text of the program."""
+        """Text of the program, and of the Python functions that it calls back."""
         jitted, first = self._program(response)
-        return str(jitted.lower(*first, *arguments, **static).as_text())
+        traced = jitted.trace(*first, *arguments, **static)
+        return str(traced.lower().as_text()) + called_back(traced.jaxpr)
 
 
 def per_response(*, static: tuple[str, ...] = (), options: Options = ()) -> Callable[[Callable[..., R]], Compiled[R]]:
@@ -181,7 +183,8 @@ class Outcome(Record):
     """A response with the reason of its failure.
 
     A unit fails if any status is no success (the first by `rvjax.status.PRECEDENCE` counts) or any
-    value is not finite; a bare nan counts as NONFINITE.
+    value is nan, which counts as NONFINITE. An infinite value is one, such as a life without load; statistics count it
+    as a success if the only limit is on the other side, else as NONFINITE.
     """
 
     value: PyTree = field("-", "scalar, or dict or record of scalars", kind="record")
@@ -206,8 +209,8 @@ def evaluate(response: Response, errors: PyTree) -> tuple[Values, jax.Array]:
             shown = f"response[{name!r}]" if name else "response"
             raise ValueError(f"{shown}: must be one real number per unit, got shape {number.shape} {number.dtype}")
         values[name] = number.astype(jnp.result_type(float, number))
-    finite = jnp.all(jnp.stack([jnp.isfinite(number) for number in values.values()]))
-    return values, jnp.where(succeeded(status) & ~finite, jnp.int32(int(Status.NONFINITE)), status)
+    lost = jnp.any(jnp.stack([jnp.isnan(number) for number in values.values()]))
+    return values, jnp.where(succeeded(status) & lost, jnp.int32(int(Status.NONFINITE)), status)
 
 
 def _named(result: object) -> dict[str, PyTree]:

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.blocks import AT_ONCE, PULLED
-from rvjax.population import Estimate, Population, deviate_of, root_key, skewed
+from rvjax.population import Estimate, Population, deviate_of, one_decides, root_key, skewed, unknown_share
 from rvjax.records import PyTree
 from rvjax.response import BLOCK, Part, Response, elements, is_costly, numbers_of, parts, respond
 from rvjax.status import succeeded
@@ -36,7 +36,8 @@ class Influence:
     """Effects of the errors on one response.
 
     Attributes:
-        shares: {field: part of its total effect in the sum of all, with a 95 % interval}; they sum to 1.
+        shares: {field: part of its total effect in the sum of all, with a 95 % interval}; they sum to 1. The interval
+            is 0 to 1 where one unit has so large a part of the variance that it may not exist.
         slopes: {field: derivative to one of its elements, mean over the units, root mean square over the elements};
             0 where it may be chance: raising and lowering the error act alike.
         scatter: {field: the same derivative, root mean square over elements and units}.
@@ -204,13 +205,17 @@ class _Sample(NamedTuple):
         rest = rest - mean
         squares = known.sum() + 2 * (gradient @ self.about) * rest + rest**2 * count / max(1, count - 1)
         total, slopes = effects.sum(axis=0), spread.rows(self.slopes.T)
+        away = (self.y - self.y.mean()) ** 2
+        unknown = self.changes is not None and one_decides(float(away.max()), float(away.sum()), count)
+        whole = _ratio(total, squares, 1.0)
+        share: Callable[[Estimate], Estimate] = unknown_share if unknown else _within
         return Influence(
-            shares={name: _within(_ratio(row, total)) for name, row in zip(fields, effects)},
+            shares={name: share(_ratio(row, total)) for name, row in zip(fields, effects)},
             slopes={name: _mean_slope(each, spread.block(name)) for name, each in slopes.items()},
             scatter={name: float(np.sqrt((each**2).sum() / max(1, each.size))) for name, each in slopes.items()},
             variance=dict(zip(fields, np.maximum(effects.mean(axis=1), 0.0).tolist())),
             error=dict(zip(fields, (effects.std(axis=1) / math.sqrt(count)).tolist())),
-            total=_ratio(total, squares, 1.0),
+            total=dataclasses.replace(whole, lower=0.0, upper=math.inf) if unknown else whole,
             mean=mean,
             sd=float(np.sqrt(np.maximum(squares.mean(), 0.0))),
             units=self.units,

@@ -280,6 +280,7 @@ def _seen(response: Response, population: Population, name: str) -> tuple[float,
     blocks = [respond_units(response, population, root_key(0), i, count=BLOCK) for i in range(0, _SEEN, BLOCK)]
     found = [np.asarray(values[name], float)[succeeded(np.asarray(status))] for values, status in blocks]
     valid = np.concatenate(found)
+    valid = valid[np.isfinite(valid)]
     return float(valid.mean()), float(valid.var(ddof=1))
 
 

@@ -11,7 +11,16 @@ import numpy as np
 
 from rvjax._ground import frames
 from rvjax._jax.arguments import checked
-from rvjax.population import SCRAMBLES, Correlation, Estimate, Population, SobolPoints, of_groups
+from rvjax.population import (
+    SCRAMBLES,
+    Correlation,
+    Estimate,
+    Population,
+    SobolPoints,
+    of_groups,
+    one_decides,
+    unknown_share,
+)
 from rvjax.records import PyTree
 from rvjax.response import Response, respond, response_names, unwrapped
 from rvjax.status import succeeded
@@ -29,6 +38,8 @@ class SobolIndices:
     Attributes:
         first: {field: `Estimate`} of var(E[y | field])/var(y), the share of the field alone.
         total: {field: `Estimate`} of E[var(y | all others)]/var(y), with all its interactions.
+        trusted: False if one unit has a quarter of the variance of 1024 units (a tenth of that of very many): the
+            variance may not exist. The interval of each share is then 0 to 1.
         samples: rows of the design, each one unit of A, of B and of every mixture.
         used: rows without a failed unit; the shares are theirs.
         failed: units without a valid response.
@@ -38,6 +49,7 @@ class SobolIndices:
 
     first: PyTree
     total: PyTree
+    trusted: PyTree
     samples: int
     used: int
     failed: int
@@ -47,11 +59,14 @@ class SobolIndices:
     def to_pandas(self) -> "DataFrame":
         """A `pandas.DataFrame`: one row for each field and response, both shares with their errors and intervals."""
         plain = any(isinstance(item, Estimate) for item in self.first.values())
-        first, total = ({"response": shares} if plain else shares for shares in (self.first, self.total))
+        first, total, trusted = (
+            {"response": shares} if plain else shares for shares in (self.first, self.total, self.trusted)
+        )
         rows = [
             {"field": field, "response": name}
             | frames.spread("first", one)
             | frames.spread("total", total[name][field])
+            | {"trusted": trusted[name]}
             for name, shares in first.items()
             for field, one in shares.items()
         ]
@@ -74,7 +89,8 @@ def sobol_indices(
     (Saltelli et al. 2010, Comput. Phys. Commun. 181, 259). An array field is one group. A and B are the
     two halves of the coordinates of 16 independently scrambled Sobol sequences, unit j being point
     j // 16 of sequence j mod 16. Standard errors come from the spread of the 16 sequences, intervals
-    (95 %) from Student's distribution with 15 degrees of freedom. A field that the response does not read has
+    (95 %) from Student's distribution with 15 degrees of freedom. Shares of a variance that may not exist have the
+    interval 0 to 1 (`trusted`). A field that the response does not read has
     indices of exactly 0; a constant response gives 0 for all.
 
     Args:
@@ -118,6 +134,7 @@ def sobol_indices(
     found = SobolIndices(
         first={name: first for name, (first, _) in shares.items()},
         total={name: total for name, (_, total) in shares.items()},
+        trusted={name: item.trusted for name, item in sums.items()},
         samples=samples,
         used=used,
         failed=failed,
@@ -132,7 +149,9 @@ def _evaluated(
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Values and validity of the first `count` units."""
     values, status = respond(response, population, jnp.asarray(z, jnp.result_type(float)))
-    return {n: np.asarray(v, float)[:count] for n, v in values.items()}, succeeded(np.asarray(status))[:count]
+    found = {n: np.asarray(v, float)[:count] for n, v in values.items()}
+    finite = np.all([np.isfinite(row) for row in found.values()], axis=0)  # no variance counts an infinite value
+    return found, succeeded(np.asarray(status))[:count] & finite
 
 
 class _Sums:
@@ -142,6 +161,7 @@ class _Sums:
         self.origin: float | None = None  # values are taken relative to the first one, which keeps their digits
         self.own = np.zeros((5, SCRAMBLES))  # rows, a, b, a^2, b^2
         self.crossed = np.zeros((3, fields, SCRAMBLES))  # b (ab - a), ab - a, (ab - a)^2
+        self.ends = np.zeros(2)  # least and largest of a and b
 
     def add(self, rows: list[np.ndarray], scramble: np.ndarray) -> None:
         """Take in A, B and every AB_i of the next chunk, and the scramble of each row."""
@@ -151,6 +171,7 @@ class _Sums:
         if self.origin is None:
             self.origin = float(a[0])
         a, b = a - self.origin, b - self.origin
+        self.ends = np.array([min(self.ends[0], a.min(), b.min()), max(self.ends[1], a.max(), b.max())])
         summed: Callable[[np.ndarray], np.ndarray] = lambda values: np.bincount(scramble, values, SCRAMBLES)  # noqa: E731
         self.own += [summed(v) for v in (np.ones(len(a)), a, b, a * a, b * b)]
         for i, row in enumerate(mixed):
@@ -159,18 +180,35 @@ class _Sums:
 
     def shares(self, fields: tuple[str, ...]) -> tuple[dict[str, Estimate], dict[str, Estimate]]:
         """First and total indices of the fields."""
-        rows, a, b, aa, bb = self.own
-        n = rows.sum()
-        if not n:
+        if not self.own[0].any():
             nothing = dict.fromkeys(fields, Estimate.about(math.nan, math.nan, 0.0))
             return nothing, dict(nothing)
-        mean = (a + b).sum() / (2 * n)
-        variance = (aa + bb - 2 * mean * (a + b)) / 2 + rows * mean**2  # times rows, by scramble
+        mean, variance = self._spread()
         crossed, steps, squares = self.crossed
         # Saltelli et al. 2010, Table 2: (b) with f_B centred, which removes most of its variance, and (f), Jansen's.
-        first = {name: _share(crossed[i] - mean * steps[i], variance) for i, name in enumerate(fields)}
-        total = {name: _share(squares[i] / 2, variance) for i, name in enumerate(fields)}
+        first = {name: self._share(crossed[i] - mean * steps[i], variance) for i, name in enumerate(fields)}
+        total = {name: self._share(squares[i] / 2, variance) for i, name in enumerate(fields)}
         return first, total
+
+    def _spread(self) -> tuple[float, np.ndarray]:
+        """Mean, and the variance times the rows of every scramble."""
+        rows, a, b, aa, bb = self.own
+        mean = float((a + b).sum() / (2 * rows.sum()))
+        return mean, (aa + bb - 2 * mean * (a + b)) / 2 + rows * mean**2
+
+    @property
+    def trusted(self) -> bool:
+        """True unless one unit has a large part of the variance."""
+        n = float(self.own[0].sum())
+        if not n:
+            return True
+        mean, variance = self._spread()
+        return not one_decides(float(np.max((self.ends - mean) ** 2)), 2 * float(variance.sum()), 2 * n)
+
+    def _share(self, parts: np.ndarray, variances: np.ndarray) -> Estimate:
+        """Return the share of a field; of a variance that is not to be trusted nothing is known, unless it is 0."""
+        share = _share(parts, variances)
+        return unknown_share(share) if parts.any() and not self.trusted else share
 
 
 def _share(parts: np.ndarray, variances: np.ndarray) -> Estimate:

@@ -184,7 +184,7 @@ def whole(study: Study, tolerances: Any) -> Whole | None:
         status = np.where(succeeded(np.asarray(status)), own[:UNITS], status)
         if getattr(part.response, "curve", False):
             curves |= dict.fromkeys(part.names, part.rows(population, z[:, :UNITS], CURVE))
-    solved = succeeded(np.asarray(status))
+    solved = succeeded(np.asarray(status)) & np.all([np.isfinite(row) for row in values.values()], axis=0)
     margins = {n: np.asarray(study.requirements[n].margin(values[outputs[n]])) for n in outputs}
     good = solved & np.all([row <= 0 for row in margins.values()], axis=0)
     limited = [

@@ -152,7 +152,25 @@ const Live = (() => {
     return { value, said: value === wanted ? "" : said };
   }
 
-  return { opened, begin, all, cost, study, limitsOf, values, places, signed, taken };
+  /* Span of values; where their middle 90 % is less than a twentieth of it, two of its widths to each side. */
+  function ends(y) {
+    const sorted = Array.from(y).sort((a, b) => a - b), n = sorted.length - 1;
+    const [low, first, last, high] = [0, 0.05, 0.95, 1].map((share) => sorted[Math.round(share * n)]);
+    const body = last - first;
+    if (!(body > 0 && body < (high - low) / 20)) return [low, high];
+    return [Math.max(low, first - 2 * body), Math.min(high, last + 2 * body)];
+  }
+
+  /* Weights of the values in each bin of a span; what lies outside is in none. */
+  function counted(y, weights, [low, high], count) {
+    const bins = new Float64Array(count);
+    for (let i = 0; i < y.length; i++)
+      if (y[i] >= low && y[i] <= high)
+        bins[Math.min(count - 1, Math.floor(((y[i] - low) / (high - low)) * count))] += weights[i];
+    return bins;
+  }
+
+  return { ends, counted, opened, begin, all, cost, study, limitsOf, values, places, signed, taken };
 })();
 
 if (typeof module !== "undefined") module.exports = Live;

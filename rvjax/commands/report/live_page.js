@@ -77,27 +77,18 @@ function startLive(section, data) {
     return { cells, svg: picture.querySelector("svg"), bars };
   });
 
-  /* Span of a histogram: the units now and as allocated but for a thousandth, and the limits. */
+  /* Span of a histogram: the units now and as allocated, and the limits. */
   function span(k, y) {
-    const ends = [y, start.y[k]].flatMap((list) => {
-      const sorted = Array.from(list).sort((a, b) => a - b);
-      return [sorted[0], sorted[sorted.length - 1]];
-    });
+    const ends = [y, start.y[k]].flatMap(Live.ends);
     if (data.responses[k].limits_values) ends.push(...Object.values(at.limits[k]).filter((limit) => limit !== null));
     const low = Math.min(...ends), high = Math.max(...ends), room = 0.04 * (high - low || 1);
     return [low - room, high + room];
   }
 
-  function counted(y, [low, high]) {
-    const bins = new Float64Array(BINS);
-    for (let i = 0; i < y.length; i++)
-      bins[Math.min(BINS - 1, Math.floor(((y[i] - low) / (high - low)) * BINS))] += data.weights[i];
-    return bins;
-  }
-
   function drawn(k, found) {
     const { svg, bars } = judged[k], response = data.responses[k], y = found.y[k], ends = span(k, y);
-    const now = counted(y, ends), was = counted(start.y[k], ends), top = Math.max(...now, ...was);
+    const [now, was] = [y, start.y[k]].map((list) => Live.counted(list, data.weights, ends, BINS));
+    const top = Math.max(...now, ...was);
     const steps = (bins, close) => {
       let path = close ? `M0 ${HIGH}` : "M0 " + (HIGH * (1 - bins[0] / top)).toFixed(1);
       bins.forEach((share, i) => {

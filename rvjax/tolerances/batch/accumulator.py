@@ -6,7 +6,7 @@ import numpy as np
 
 from rvjax._ground.files import Arrays
 from rvjax.population import CentralMoments, Pairwise
-from rvjax.status import SUCCESS
+from rvjax.status import SUCCESS, Status
 from rvjax.tolerances.batch.quantiles import ExactOrder, Order
 from rvjax.tolerances.requirements.kinds import Limits
 
@@ -30,6 +30,7 @@ class Accumulator:
         # Units of each stream: seen, within all limits, within the limits of each requirement.
         self.seen, self.joint = np.zeros((2, streams), np.int64)
         self.passed = {name: np.zeros(streams, np.int64) for name in self.requirements}
+        self.infinite = {name: np.zeros(2, np.int64) for name in names}  # successes at -inf, inf
         self.failures: dict[int, int] = {}
         self.examples: dict[int, int] = {}
 
@@ -38,8 +39,23 @@ class Accumulator:
         """True once units that other processes count are no longer needed here."""
         return all(order.settled for order in self._orders.values())
 
+    def judged(self, values: Arrays, status: np.ndarray) -> np.ndarray:
+        """Status of units, NONFINITE where a response is infinite, unless its only limit is on the other side.
+
+        Args:
+            values: by name (n,).
+            status: (n,) of the response itself.
+        """
+        for name in self.names:
+            wrong = np.isinf(values[name])
+            if wrong.any():
+                if name in self.requirements:
+                    wrong &= ~(self.requirements[name].margin(values[name]) < 0)
+                status = np.where(wrong & np.isin(status, _GOOD), int(Status.NONFINITE), status)
+        return status
+
     def add(self, number: int, start: int, values: Arrays, status: np.ndarray, *, own: bool = True) -> None:
-        """Add chunk `number`, from unit `start`: values by name (n,) and status (n,).
+        """Add chunk `number`, from unit `start`: values by name (n,) and status (n,), `judged`.
 
         Another process counts a chunk that is not `own`.
         """
@@ -47,7 +63,7 @@ class Accumulator:
         complete = bool(good.all())
         if not own:
             for name, order in self._orders.items():
-                order.add(_finite(values[name], good, complete), own=False)
+                order.add(_valid(values[name], good, complete), own=False)
             return
         if not complete:
             for code in np.unique(status[~good]):
@@ -57,13 +73,18 @@ class Accumulator:
         good_streams = None if streams is None else streams[good]
         joint = None
         for name in self.names:
-            finite = _finite(values[name], good, complete)
+            valid = _valid(values[name], good, complete)
+            finite, its_streams = valid, good_streams
+            if (endless := np.isinf(valid)).any():
+                self.infinite[name] += np.bincount(valid[endless] > 0, minlength=2)
+                finite = valid[~endless]
+                its_streams = None if good_streams is None else good_streams[~endless]
             for stream, tree in enumerate(self.moments[name]):
-                tree.add(number, CentralMoments.of(finite if good_streams is None else finite[good_streams == stream]))
+                tree.add(number, CentralMoments.of(finite if its_streams is None else finite[its_streams == stream]))
             if not self.values:
-                self._orders[name].add(finite, good_streams)
+                self._orders[name].add(valid, good_streams)
             if name in self.requirements:
-                passed = self.requirements[name].margin(finite) <= 0
+                passed = self.requirements[name].margin(valid) <= 0
                 self.passed[name] += self._count(passed, good_streams)
                 joint = passed if joint is None else joint & passed
         if joint is not None:
@@ -103,6 +124,7 @@ class Accumulator:
         state = {"seen": self.seen, "joint": self.joint, "failures": np.array(failures, np.int64).reshape(-1, 3)}
         for number, name in enumerate(self.names):
             state |= {f"{number}/moments/{s}": tree.state() for s, tree in enumerate(self.moments[name])}
+            state[f"{number}/infinite"] = self.infinite[name]
             if name in self.passed:
                 state[f"{number}/passed"] = self.passed[name]
             if self.values:
@@ -139,6 +161,7 @@ class Accumulator:
         for number, name in enumerate(self.names):
             for stream, tree in enumerate(self.moments[name]):
                 tree.merge(state[f"{number}/moments/{stream}"])
+            self.infinite[name] += state[f"{number}/infinite"]
             if name in self.passed:
                 self.passed[name] += state[f"{number}/passed"]
             if self.values:
@@ -151,5 +174,5 @@ class Accumulator:
             self._orders[name].merge(parts)
 
 
-def _finite(values: np.ndarray, good: np.ndarray, complete: bool) -> np.ndarray:
+def _valid(values: np.ndarray, good: np.ndarray, complete: bool) -> np.ndarray:
     return (values if complete else values[good]).astype(np.float64, copy=False)

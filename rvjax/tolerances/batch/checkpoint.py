@@ -21,7 +21,7 @@ from rvjax.response import Response, respond
 from rvjax.tolerances.requirements.kinds import Limits
 
 _SHARE = 10  # times as long computing as writing
-_FORMAT = 2
+_FORMAT = 3
 LARGEST = 2**26
 """Bytes of a state for each response, at most: 16 histograms and what waits for one are 16 MiB."""
 
@@ -40,7 +40,10 @@ def describe(population: Population, requirements: Mapping[str, Limits]) -> dict
 def response_hash(response: Response, population: Population) -> str:
     """Hash of the program that the response compiles to, constants and a record's numbers included.
 
-    Limits of tolerances do not enter.
+    Limits of tolerances do not enter. Of a Python function that it calls back, code and data count.
+
+    Raises:
+        UnseenFunction: a Python function that cannot be compared with that of another run.
     """
     z = jax.ShapeDtypeStruct((population.numbers, 1), jnp.result_type(float))
     found = hashlib.sha256(respond.lowered(response, population, z).encode())

@@ -10,45 +10,135 @@ from scipy import special
 from rvjax.population import Estimate, deviate_of, share_error, student
 
 PILOT = 4096
-BINS = 2**16
 COARSE = 16  # bins that are one where the scrambles are counted apart
+_SIDE, _BITS = 2**13, 7  # cells on each side of a centre; 2^7 of them in each doubling of the distance from it
+_EVEN, _EACH = 2**16, 8  # bins of equal width in twice the range of the first values; bins for each of these values
+BINS = 2 * _SIDE + _EVEN + _EACH * PILOT
+_NEAREST = 256  # one of so many first values is nearer to the centre than the width of 128 cells
+_SHIFT = 52 - _BITS  # the bits of a float are in the order of its size
+_LARGEST = np.array(np.inf).view(np.int64)
+
+
+class Grid:
+    """Bins for values of any distribution, placed by the first of them.
+
+    Cells cover all numbers and become wider with the distance from a centre, as floats do: the median of the first
+    values or, where the values of a tail on one side then fill more cells, the end of their range on the other. Each
+    cell is divided evenly: into 8 bins for each first value in it, and so that no bin is wider than 2^-16 of twice
+    their range. So heavy tails have bins, and values that are dense have narrow ones.
+    """
+
+    def __init__(self, first: np.ndarray) -> None:
+        """Place the bins.
+
+        Args:
+            first: values, in any order; infinite ones have no effect.
+        """
+        known = np.sort(first[np.isfinite(first)]) if np.isfinite(first).any() else np.zeros(1)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            filled = []
+            for middle in known[[known.size // 2, 0, -1]].tolist():
+                self._set_cells(middle, known)
+                filled.append((np.unique(self._cell(known)).size, middle))
+            self._set_cells(max(filled, key=lambda found: found[0])[1], known)
+            steps = np.minimum(self._first + np.arange(1, _SIDE), _LARGEST >> _SHIFT) << _SHIFT
+            steps = steps.view(np.float64) - self._size
+            below, above = self._middle - steps[::-1], self._middle + steps
+            ends = np.concatenate([[-np.inf], below, [self._middle], above, [np.inf]])
+            width = np.diff(ends)
+            margin = (known[-1] - known[0]) / 2 or self._size
+            inside = np.diff(np.clip(ends, known[0] - margin, known[-1] + margin)) / (4 * margin / _EVEN)
+            parts = 1 + np.nan_to_num(inside, posinf=0.0).astype(np.int64)
+            parts += _EACH * np.bincount(self._cell(known), minlength=2 * _SIDE)
+            parts[~np.isfinite(width)] = 1
+            self._start, self._last = ends[:-1], parts - 1.0
+            self._rate = parts / width
+            self._place = np.concatenate([[0], np.cumsum(parts)[:-1]])
+            within = np.arange(parts.sum()) - np.repeat(self._place, parts)
+            step = np.where(np.isfinite(width), width / parts, 0.0)
+            lower = np.repeat(self._start, parts) + within * np.repeat(step, parts)
+        # Ends of the bins, beyond which rounding puts no value; there are less bins than `BINS`, the others are empty.
+        self._ends = np.full(BINS + 1, np.inf)
+        self._ends[: lower.size] = np.maximum.accumulate(lower)
+        self._rounding = 4 * float(np.spacing(abs(self._middle) + self._size))
+
+    def _set_cells(self, middle: float, known: np.ndarray) -> None:
+        """Cells about a centre, 128 up to the distance of the nearest values and 128 in each doubling of it."""
+        away = np.sort(np.abs(known - middle))
+        away = away[away > 0]
+        size = min(float(away[away.size // _NEAREST]), 1e300) if away.size else max(abs(middle), 1e-280) * 1e-9
+        self._middle, self._size = middle, size
+        self._first = np.array(size).view(np.int64) >> _SHIFT
+
+    def _cell(self, values: np.ndarray) -> np.ndarray:
+        away = values - self._middle
+        steps = np.minimum(((np.abs(away) + self._size).view(np.int64) >> _SHIFT) - self._first, _SIDE - 1)
+        return np.where(away < 0, _SIDE - 1 - steps, _SIDE + steps)
+
+    def places(self, values: np.ndarray) -> np.ndarray:
+        """Bin of each value, 1 .. `BINS`, 0 for -inf and `BINS` + 1 for inf: a larger value has no lower one."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            cell = self._cell(values)
+            within = np.fmin(np.fmax((values - self._start[cell]) * self._rate[cell], 0.0), self._last[cell])
+            found = self._place[cell] + within.astype(np.int64) + 1
+        if not math.isfinite(values.min()) or not math.isfinite(values.max()):
+            found = np.where(np.isfinite(values), found, np.where(values < 0, 0, BINS + 1))
+        return found
+
+    def bounds(self, place: int, bins: int = 1) -> tuple[float, float]:
+        """Ends between which all values of a bin are.
+
+        Args:
+            place: of the first bin, 1 .. `BINS`.
+            bins: taken together.
+        """
+        low, high = float(self._ends[place - 1]), float(self._ends[place - 1 + bins])
+        return low - self._near(low), high + self._near(high)
+
+    def _near(self, end: float) -> float:
+        return max(self._rounding, 4 * float(np.spacing(abs(end)))) if math.isfinite(end) else 0.0
 
 
 class Order:
-    """Order statistics: exact up to `PILOT` values, then from a histogram, within one of its bins.
+    """Order statistics: exact up to `PILOT` values, then from counts in bins.
 
-    The range comes from the first `PILOT` values in the order of the units, independent of chunks and
-    processes, and is half their span wider on each side; what falls outside is
-    counted apart.
+    The bins come from the first `PILOT` values in the order of the units, independent of chunks and processes. Infinite
+    values are counted apart, at the ends; `minimum` and `maximum` are those of the others.
     """
 
     def __init__(self, streams: int = 1) -> None:
         self._pilot = np.empty(0)
+        self._grid: Grid | None = None
         self._waiting, self._waiting_streams = np.empty(0), np.empty(0, np.int64)
-        self._counts = np.zeros(BINS, np.int64)
-        # Counts of every stream below the range, in bins of `COARSE`, above the range.
+        self._counts = np.zeros(BINS + 2, np.int64)
+        # Counts of every stream: -inf, in bins of `COARSE`, inf.
         self._coarse = np.zeros((streams, BINS // COARSE + 2), np.int64)
-        self._low, self._width = math.nan, math.nan
-        self._below = self._above = 0
         self.n, self.streams = 0, streams
         self.minimum, self.maximum = math.inf, -math.inf
 
     @property
     def settled(self) -> bool:
-        """True once the range is known."""
-        return not math.isnan(self._low)
+        """True once the bins are known."""
+        return self._pilot.size == PILOT
+
+    @property
+    def _bins(self) -> Grid:
+        if self._grid is None:
+            self._grid = Grid(self._pilot)
+        return self._grid
 
     def add(self, values: np.ndarray, streams: np.ndarray | None = None, *, own: bool = True) -> None:
-        """Take in one block of finite values in the order of the units, with their streams where there are several.
+        """Take in one block of values in the order of the units, with their streams where there are several.
 
-        Values that are not `own` are counted by another process: they only help to find the range.
+        Values that are not `own` are counted by another process: they only help to place the bins.
         """
         if not values.size:
             return
         if own:
             self.n += values.size
-            self.minimum = min(self.minimum, float(values.min()))
-            self.maximum = max(self.maximum, float(values.max()))
+            finite = values[np.isfinite(values)]
+            self.minimum = min(self.minimum, float(finite.min(initial=math.inf)))
+            self.maximum = max(self.maximum, float(finite.max(initial=-math.inf)))
         if self.settled:
             if own:
                 self._count(values, streams)
@@ -58,27 +148,16 @@ class Order:
             self._waiting = np.concatenate([self._waiting, values])
             if streams is not None:
                 self._waiting_streams = np.concatenate([self._waiting_streams, streams])
-        if self._pilot.size == PILOT:
-            self._set_range()
+        if self.settled:
             self._count(self._waiting, self._waiting_streams if self.streams > 1 else None)
-            self._pilot = self._waiting = np.empty(0)
-            self._waiting_streams = np.empty(0, np.int64)
-
-    def _set_range(self) -> None:
-        low, high = float(self._pilot.min()), float(self._pilot.max())
-        margin = (high - low) / 2 or max(abs(low), 1e-280) * 1e-9
-        self._low, self._width = low - margin, (high - low + 2 * margin) / BINS
+            self._waiting, self._waiting_streams = np.empty(0), np.empty(0, np.int64)
 
     def _count(self, values: np.ndarray, streams: np.ndarray | None) -> None:
-        # One slot below the range and one above it; clipped first, so that nothing overflows as an integer.
-        slot = np.clip((values - self._low) * (1 / self._width) + 1, 0, BINS + 1).astype(np.int64)
-        counts = np.bincount(slot, minlength=BINS + 2)
-        self._counts += counts[1:-1]
-        self._below += int(counts[0])
-        self._above += int(counts[-1])
+        places = self._bins.places(values)
+        self._counts += np.bincount(places, minlength=BINS + 2)
         if streams is not None:
             slots = self._coarse.shape[1]
-            coarse = (slot + (COARSE - 1)) // COARSE  # 0, then COARSE bins each, then the slot above
+            coarse = (places + (COARSE - 1)) // COARSE
             self._coarse += np.bincount(streams * slots + coarse, minlength=self._coarse.size).reshape(-1, slots)
 
     def at(self, rank: float) -> float:
@@ -86,39 +165,51 @@ class Order:
         if not self.settled:
             return self._exact().at(rank)
         k = min(max(int(rank), 1), self.n)
-        low = self._at(k)
-        return low + (self._at(min(k + 1, self.n)) - low) * min(max(rank - k, 0.0), 1.0)
+        return _between(self._at(k), self._at(min(k + 1, self.n)), rank - k)
+
+    def ends(self, rank: int) -> tuple[float, float]:
+        """Values between which the order statistic of a rank, 1 .. n, lies for certain: the ends of its bin."""
+        return self._within(rank)[:2] if self.settled else self._exact().ends(rank)
 
     def _exact(self) -> "ExactOrder":
         return ExactOrder(self._waiting, self._waiting_streams, count=self.streams)
 
     def _at(self, k: int) -> float:
-        """Order statistic k, 1 .. n; spread evenly over the bin or tail it falls into."""
-        inside = np.cumsum(self._counts) + self._below
-        if k <= self._below:
-            return float(np.interp(k, [1, self._below + 1], [self.minimum, self._low]))
-        if k > inside[-1]:
-            return float(np.interp(k, [inside[-1], self.n], [self._low + BINS * self._width, self.maximum]))
-        place = int(np.searchsorted(inside, k))
-        share = (k - (inside[place] - self._counts[place]) - 0.5) / self._counts[place]
-        return float(np.clip(self._low + self._width * (place + share), self.minimum, self.maximum))
+        """Order statistic k, 1 .. n; spread evenly over the bin it falls into."""
+        return _between(*self._within(k))
+
+    def _within(self, k: int) -> tuple[float, float, float]:
+        """Ends of the bin of order statistic k, and the part of the bin's values before it."""
+        first, last = int(self._counts[0]), self.n - int(self._counts[-1])  # the others are infinite
+        if k <= first + 1:
+            low = -math.inf if k <= first else self.minimum
+            return low, low, 0.0
+        if k >= last:
+            high = math.inf if k > last else self.maximum
+            return high, high, 0.0
+        upto = np.cumsum(self._counts)
+        place = int(np.searchsorted(upto, k))
+        share = (k - (upto[place] - self._counts[place]) - 0.5) / self._counts[place]
+        low, high = self._bins.bounds(place)
+        return max(low, self.minimum), min(high, self.maximum), float(share)
 
     def below(self, value: float) -> tuple[np.ndarray, np.ndarray]:
-        """Values of every stream up to `value` (interpolated within a bin), and all of them (streams,)."""
+        """Values of every stream up to `value` (interpolated within a bin; below inf), and all of them (streams,)."""
         if not self.settled:
             return self._exact().below(value)
-        high = self._low + BINS * self._width
-        inner = np.linspace(self._low, high, BINS // COARSE + 1)
-        edges = np.concatenate([[min(self.minimum, self._low)], inner, [max(self.maximum, high)]])
-        place = int(np.clip(np.searchsorted(edges, value, side="right") - 1, 0, len(edges) - 2))
-        share = np.clip((value - edges[place]) / ((edges[place + 1] - edges[place]) or 1.0), 0.0, 1.0)
+        place = int(self._bins.places(np.array([value]))[0] + (COARSE - 1)) // COARSE
+        share = float(value < 0)
+        if math.isfinite(value):
+            low, high = self._bins.bounds(COARSE * (place - 1) + 1, COARSE)
+            low, high = max(low, self.minimum), min(high, self.maximum)
+            share = min(max((value - low) / ((high - low) or 1.0), 0.0), 1.0)
         return self._coarse[:, :place].sum(axis=1) + share * self._coarse[:, place], self._coarse.sum(axis=1)
 
     def state(self) -> dict[str, np.ndarray]:
         """Everything that `merge` needs."""
         return {
-            "scalars": np.array([self._low, self._width, self.minimum, self.maximum]),
-            "numbers": np.array([self._below, self._above, self.n]),
+            "extremes": np.array([self.minimum, self.maximum]),
+            "n": np.array([self.n]),
             "pilot": self._pilot,
             "waiting": self._waiting,
             "waiting_streams": self._waiting_streams,
@@ -127,18 +218,18 @@ class Order:
         }
 
     def merge(self, state: Mapping[str, np.ndarray]) -> None:
-        """Take in the `state` of other units of the same study; a ValueError where the ranges differ."""
-        low, width, minimum, maximum = (float(v) for v in state["scalars"])
-        below, above, n = (int(v) for v in state["numbers"])
-        if not self.n and not self.settled:  # nothing here yet: the other's range, or its search for one, goes on
-            self._low, self._width, self._pilot = low, width, state["pilot"]
-        elif (self._low, self._width) != (low, width) and not (math.isnan(low) and math.isnan(self._low)):
+        """Take in the `state` of other units of the same study; a ValueError where the bins differ."""
+        pilot = state["pilot"]
+        if not self.n and not self.settled:  # nothing here yet: the other's bins, or its search for them, go on
+            self._pilot, self._grid = pilot, None
+        elif (self.settled or pilot.size == PILOT) and not np.array_equal(self._pilot, pilot):
             raise ValueError("processes: they computed different values for the same units; use like machines")
         self._waiting = np.concatenate([self._waiting, state["waiting"]])
         self._waiting_streams = np.concatenate([self._waiting_streams, state["waiting_streams"]])
         self._counts += state["counts"]
         self._coarse += state["coarse"]
-        self._below, self._above, self.n = self._below + below, self._above + above, self.n + n
+        self.n += int(state["n"][0])
+        minimum, maximum = state["extremes"].tolist()
         self.minimum, self.maximum = min(self.minimum, minimum), max(self.maximum, maximum)
 
 
@@ -153,12 +244,16 @@ class ExactOrder:
     def at(self, rank: float) -> float:
         """Return the value of a (fractional) rank, 1 .. n."""
         k = min(max(int(rank), 1), self.n)
-        low, high = float(self._sorted[k - 1]), float(self._sorted[min(k, self.n - 1)])
-        return low + (high - low) * min(max(rank - k, 0.0), 1.0)
+        return _between(float(self._sorted[k - 1]), float(self._sorted[min(k, self.n - 1)]), rank - k)
+
+    def ends(self, rank: int) -> tuple[float, float]:
+        """The order statistic of a rank, 1 .. n, twice: it is known exactly."""
+        value = float(self._sorted[rank - 1])
+        return value, value
 
     def below(self, value: float) -> tuple[np.ndarray, np.ndarray]:
-        """Values of every stream up to `value`, and all of them (streams,)."""
-        inside, count = self._values <= value, self.streams
+        """Values of every stream up to `value` (below inf), and all of them (streams,)."""
+        inside, count = (self._values <= value) & (self._values < math.inf), self.streams
         return np.bincount(self._streams[inside], minlength=count), np.bincount(self._streams, minlength=count)
 
 
@@ -167,7 +262,8 @@ def quantile_estimate(order: Order | ExactOrder, p: float, confidence: float) ->
 
     Its interval is the distribution-free binomial one of independent units; with several scrambles it
     comes from the spread, between them, of the share of units below the quantile. Where the sample is
-    too small to bound the quantile, that end of the interval is infinite.
+    too small to bound the quantile, that end of the interval is infinite. From counts in bins the interval
+    contains the whole bins that its ends fall into.
     """
     n = order.n
     if not n:
@@ -181,9 +277,16 @@ def quantile_estimate(order: Order | ExactOrder, p: float, confidence: float) ->
         deviate = student(confidence, streams)
         half = deviate * error * n
         first, last = math.floor(n * p - half), math.ceil(n * p + half) + 1
-    lower = order.at(first) if first >= 1 else -math.inf
-    upper = order.at(last) if last <= n else math.inf
-    return Estimate(value, (upper - lower) / (2 * deviate), lower, upper)
+    lower = order.ends(first)[0] if first >= 1 else -math.inf
+    upper = order.ends(last)[1] if last <= n else math.inf
+    width = upper - lower if upper > lower else 0.0  # both may be the same infinity
+    return Estimate(value, width / (2 * deviate), lower, upper)
+
+
+def _between(low: float, high: float, share: float) -> float:
+    """Return the value at a share of the way; where an end is infinite, so is all between the ends."""
+    share = min(max(share, 0.0), 1.0)
+    return low if share == 0 or low in (high, -math.inf) else low + (high - low) * share
 
 
 def _binomial_quantile(share: float, n: int, p: float) -> int:

@@ -15,6 +15,7 @@ import numpy as np
 
 from rvjax._ground.files import DAMAGE, Arrays, versions
 from rvjax._ground.progress import progress_bar
+from rvjax._jax.callbacks import UnseenFunction
 from rvjax._jax.compile_cache import kept_folder
 from rvjax.population import SCRAMBLES, Estimate, Population, Sampled
 from rvjax.records import PyTree
@@ -84,7 +85,7 @@ class Run:
         """
         study = self._described()
         counted = self._empty(keeps=self.keep)
-        counted.add(0, 0, values, status)
+        counted.add(0, 0, values, counted.judged(values, status))
         return self._figures(counted, study)
 
     def _described(self) -> dict[str, str]:
@@ -125,8 +126,9 @@ class Run:
             mean={name: item.mean() for name, item in seen.items()},
             sd={name: item.sd() for name, item in seen.items()},
             quantiles={p: {n: quantile_estimate(o, p, self.confidence) for n, o in orders} for p in self.quantiles},
-            minimum={name: item.whole.minimum for name, item in seen.items()},
-            maximum={name: item.whole.maximum for name, item in seen.items()},
+            minimum={n: -math.inf if counted.infinite[n][0] else item.whole.minimum for n, item in seen.items()},
+            maximum={n: math.inf if counted.infinite[n][1] else item.whole.maximum for n, item in seen.items()},
+            infinite={name: int(units.sum()) for name, units in counted.infinite.items()},
             yield_=yields if any_units else None,
             ppm={name: rejects(share) for name, share in yields.items()} if any_units else None,
             cp={name: figure.value for name, figure in cp.items()} if any_units else None,
@@ -169,7 +171,10 @@ class Run:
         if self.checkpoint is None:
             return self._empty(keeps=self.keep), None, 0, True
         process, processes = place()
-        study["response"] = response_hash(self.response, self.population)
+        try:
+            study["response"] = response_hash(self.response, self.population)
+        except UnseenFunction as error:
+            raise ValueError(f"checkpoint = {str(self.checkpoint)!r}: {error}; run without a checkpoint") from None
         mine = {"process": f"{process} of {processes}"}
         path, about = of_process(self.checkpoint, process, processes), study | mine | versions()
         file = Checkpoint(path, about, every=self.checkpoint_every)
@@ -212,6 +217,7 @@ class Run:
             numbers = range(first, -(-samples // chunk))
             for number, values, status in _chunks(start, counted, numbers, chunk, samples, _ahead(evaluated)):
                 own, unit = number % processes == process, number * chunk
+                status = counted.judged(values, status)
                 if number >= done:
                     counted.add(number, unit, values, status, own=own)
                 elif own:

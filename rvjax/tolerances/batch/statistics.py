@@ -32,10 +32,13 @@ class Statistics:
         worst_index: index of the first unit that failed for the worst reason, None without failures.
         mean: `Estimate` of the mean, unit of the response.
         sd: `Estimate` of the standard deviation; its error holds for any distribution.
-        quantiles: {p: `Estimate`}, linear between order statistics; exact with `keep` or up to 4096 units,
-            else within one histogram bin. Intervals are binomial for independent units.
+        quantiles: {p: `Estimate`}, linear between order statistics; exact with `keep` or up to 4096 units, else
+            from counts in bins: the interval contains the bins of its ends. Intervals are binomial for independent
+            units.
         minimum: smallest value.
         maximum: largest value.
+        infinite: units whose response is infinite on the side without a limit. They are successes, count in yields and
+            quantiles, and take no part in mean, sd, cp and cpk, which are those of the finite responses.
         yield_: `Estimate` of the share of units within the limits, Wilson interval; None without limits of units.
         ppm: `Estimate` of the rejects per million units.
         cp: (U - L)/(6 sd); nan for a one-sided requirement.
@@ -63,6 +66,7 @@ class Statistics:
     quantiles: dict[float, PyTree]
     minimum: PyTree
     maximum: PyTree
+    infinite: PyTree
     yield_: PyTree
     ppm: PyTree
     cp: PyTree
@@ -85,7 +89,7 @@ class Statistics:
         def row(name: str) -> dict[str, object]:
             found: dict[str, object] = {"response": name, **frames.spread("mean", of(self.mean, name))}
             found |= frames.spread("sd", of(self.sd, name))
-            found |= {"minimum": of(self.minimum, name), "maximum": of(self.maximum, name)}
+            found |= {end: of(getattr(self, end), name) for end in ("minimum", "maximum", "infinite")}
             for p, quantile in self.quantiles.items():
                 found |= frames.spread(f"quantile_{p:g}", of(quantile, name))
             found |= frames.spread("yield", of(self.yield_, name))

@@ -266,7 +266,9 @@ class WorstCaseWithin(Limits):
 
     def holds(self, estimate: Estimate) -> bool:
         """True if the value keeps the limits, except for rounding."""
-        return bool(self.margin(estimate.value) <= 1e-12 * max(abs(self.margin(0.0)), abs(estimate.value)))
+        margin = self.margin(estimate.value)
+        rounding = 1e-12 * max(abs(self.margin(0.0)), abs(estimate.value)) if math.isfinite(estimate.value) else 0.0
+        return bool(margin <= rounding)
 
     def factor(self, estimate: Estimate, samples: int, deviate: float, distance: float) -> float:
         """The range grows with the half-widths in proportion."""
@@ -336,8 +338,8 @@ class CpkAtLeast(Limits):
 
 
 def _valid(values: np.ndarray) -> np.ndarray:
-    """Numbers of the valid units; none where too many failed for a statistic of the others."""
-    units = np.flatnonzero(~np.isnan(values))
+    """Numbers of the valid units; none where too many failed, or are infinite, for a statistic of the others."""
+    units = np.flatnonzero(np.isfinite(values))
     return units if values.size - units.size <= MOST_FAILED * values.size else units[:0]
 
 

@@ -24,7 +24,8 @@ _BEYOND = 8  # units that must lie beyond a sampled quantile; further out the ta
 def tail_quantile(margins: np.ndarray, target: float, distance: float) -> float:
     """Quantile of the units' margins (n,) at a target, failed ones (inf) above all others.
 
-    A far tail is extended from the nominal response, at `distance` from the limit.
+    A far tail is extended from the nominal response, at `distance` from the limit. Where the unit at the target is
+    infinitely far inside (an infinite life), it counts as the nominal one.
     """
     level = _reachable(target, len(margins))
     rank = (len(margins) - 1) * level
@@ -32,6 +33,8 @@ def tail_quantile(margins: np.ndarray, target: float, distance: float) -> float:
     high = min(low + 1, len(margins) - 1)
     ordered = np.partition(margins, [low, high])
     a, b = ordered[low], ordered[high]
+    if a == -math.inf:
+        a = b = max(b, -distance)
     quantile = a + (rank - low) * (b - a) if np.isfinite(b) else b
     further = special.ndtri((1 + target) / 2) / special.ndtri((1 + level) / 2)
     return float((quantile + distance) * further - distance)
@@ -40,7 +43,7 @@ def tail_quantile(margins: np.ndarray, target: float, distance: float) -> float:
 def nearest(margins: np.ndarray, target: float, lanes: int) -> np.ndarray:
     """Units whose margins are nearest the quantile, by rank among those that did not fail."""
     order = np.argsort(margins)
-    valid = int(np.isfinite(margins).sum())
+    valid = int((margins < np.inf).sum())
     start = round(len(margins) * _reachable(target, len(margins))) - lanes // 2
     start = max(0, min(start, valid - lanes))
     return order[start : start + lanes]
@@ -134,11 +137,10 @@ class Limits:
 
     def margin(self, value: Value) -> Value:
         """Distance of a value outside the nearer limit, negative inside; floats and arrays of any library."""
-        above, below = value - self.upper, self.lower - value
         if math.isinf(self.lower):
-            return above
+            return value - self.upper
         if math.isinf(self.upper):
-            return below
+            return self.lower - value
         middle, half = (self.lower + self.upper) / 2, (self.upper - self.lower) / 2
         return abs(value - middle) - half
 
