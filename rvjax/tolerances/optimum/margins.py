@@ -118,7 +118,8 @@ class Margins:
             if not row.item.of_sample:
                 self.ways[k] = size(row.item) or abs(outputs[row.name]) or 1.0
             else:
-                spread = float(np.nanstd(values[row.name])) if np.isfinite(values[row.name]).any() else 0.0
+                finite = values[row.name][np.isfinite(values[row.name])]
+                spread = float(finite.std()) if len(finite) else 0.0
                 way = abs(float(row.item.margin(centre[row.name])))
                 self.ways[k] = max(w for w in (way, spread, 1e-300) if math.isfinite(w))
                 if not row.item.limits_values:
@@ -289,7 +290,8 @@ class Margins:
             centre = self._central(x)
             for k, row in enumerate(self.rows):
                 if row.item.of_sample and row.item.limits_values:
-                    found[k] = max(abs(float(row.item.margin(centre[row.name]))) / self.ways[k], 1e-3)
+                    way = abs(float(row.item.margin(centre[row.name]))) / self.ways[k]
+                    found[k] = max(way, 1e-3) if math.isfinite(way) else 1.0
         return found
 
     def limits(self) -> np.ndarray:

@@ -113,6 +113,8 @@ class TailSample:
 def smooth_quantile(margins: np.ndarray, weights: np.ndarray, rejects: float, width: float) -> float:
     """Margin beyond which the weighted share of `rejects` lies; inf where more than that have failed (inf).
 
+    A margin of -inf is that of a unit within its limits, such as one with an infinite life.
+
     Args:
         margins: (n,) of the units.
         weights: (n,) of the units, 1 on average.
@@ -120,7 +122,7 @@ def smooth_quantile(margins: np.ndarray, weights: np.ndarray, rejects: float, wi
         width: of the smoothing, unit of the margins.
     """
     finite = np.isfinite(margins)
-    failed = float(weights[~finite].sum()) / len(margins)
+    failed = float(weights[~finite & ~np.isneginf(margins)].sum()) / len(margins)
     if failed >= rejects or not finite.any():
         return math.inf
     own, mass = margins[finite], weights[finite] / len(margins)

@@ -66,7 +66,7 @@ class Units:
                 rows = [np.stack([np.asarray(values[name], float) for name in part.names]) for values, _ in found]
                 values = np.concatenate(rows, axis=1)[:, : z.shape[1]]
                 status = np.concatenate([np.asarray(flags) for _, flags in found])[: z.shape[1]]
-            return np.where(succeeded(np.asarray(status)) & np.isfinite(values), values, np.nan)
+            return np.where(succeeded(np.asarray(status)), values, np.nan)
 
         if self._memo is None:
             return compute()
