@@ -98,10 +98,12 @@ def headline(study: Study, found: Designed) -> str:
     if (yielded := joint.certificate.joint_yield) is not None:
         lines.append(f"joint yield: {share(yielded).text()}")
     if not joint.feasible:
-        lines.append(joint.reason or "No design and tolerances within the bounds were found to meet the requirements.")
+        lines.append("No design and tolerances within the bounds were found to meet the requirements.")
         for name, shortfall in joint.shortfall.items():
             if shortfall > 0:
                 lines.append(f"  the limit of {name} {shortfall_text(shortfall, study.output(name))}")
+        if joint.helps is not None:
+            lines.append(f"  {_helping(study, *joint.helps)} would help most")
         return "\n".join(lines)
     lines.append(f"cost {joint.start_cost:.3f} -> {joint.cost:.3f} ({_percent(joint.cost, joint.start_cost)})")
     if found.two_step is not None:
@@ -221,6 +223,15 @@ def _requirements(study: Study, found: Designed) -> Iterator[Table]:
                 price = f"{study.objective[name](size):.3g} /{named}"
             rows.append([Titled(name, output.meaning), limit, *values, price])
         yield Table("nominal", columns, rows)
+
+
+def _helping(study: Study, path: str, side: str) -> str:
+    """Bound of a number that an infeasible study should move outwards, in the unit of the number."""
+    unit, size = readable(unit_of_number(study, path))
+    bound = getattr(study.variables[path], side) / size
+    return f"a {'lower' if side == 'lower' else 'higher'} {side} bound of {path} than {bound:.6g} {unit}".removesuffix(
+        " -"
+    )
 
 
 def others(study: Study, found: Designed) -> Iterator[Table | Note]:

@@ -51,7 +51,7 @@ def reason(found: Found) -> str | None:
     if found.shortage is None:
         return None
     missing = [
-        f"{name or 'the response'} misses its limit by {value:.4g}"
+        f"{name or 'the response'} misses its limit by {value:.4g} (SI)"
         for name, value in found.shortage.by_name.items()
         if value > 0
     ]
@@ -59,9 +59,8 @@ def reason(found: Found) -> str | None:
     if found.shortage.helps is not None:
         name, side = found.shortage.helps
         item = found.decisions.variables[name]
-        bound = item.lower if side == "lower" else item.upper
-        wider = "lower" if side == "lower" else "higher"
-        text += f"; a {wider} {side} bound of {name} than {bound:.6g} would help most"
+        wider = f"a {'lower' if side == 'lower' else 'higher'} {side} bound of {name}"
+        text += f"; {wider} than {item.lower if side == 'lower' else item.upper:.6g} (SI) would help most"
     return text
 
 
@@ -121,4 +120,5 @@ def allocation_of(
         losses=losses,
         objective=problem.whole_of(found.cost, losses),
         reason=reason(found),
+        helps=None if found.shortage is None else found.shortage.helps,
     )

@@ -110,8 +110,8 @@ class HalfWidths:
         certificate, shortfall = certifier.shortfall(self.training.with_half_widths(search.low))
         refused = certifier.joint_target is not None or any(missing > 0 for missing in shortfall.values())
         status = "INFEASIBLE" if refused else "NOT_CERTIFIED"  # the larger sample may see the limits just met
-        if certifier.holds(certificate):
-            status = "OPTIMAL"
+        if certifier.holds(certificate):  # nothing cheaper was searched
+            status = "SUBOPTIMAL"
         nothing = np.zeros(len(shortfall))
         return self._found(status, search.low, certificate, search.cost(search.low), nothing, shortfall)
 

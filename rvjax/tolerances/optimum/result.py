@@ -47,6 +47,7 @@ class Allocation:
         losses: {response: `Estimate` of its mean loss, of the certificate's units that do not fail}.
         objective: `Estimate` of the cost with these losses; what the search minimises.
         reason: of an infeasible problem with variables: what fails by how much, and the bound that would help most.
+        helps: that bound, as (variable, "lower" or "upper").
     """
 
     feasible: bool
@@ -74,6 +75,7 @@ class Allocation:
     losses: dict[str, Estimate] = dataclasses.field(default_factory=dict)
     objective: Estimate | None = None
     reason: str | None = None
+    helps: tuple[str, str] | None = None
 
     def to_pandas(self) -> Any:
         """A `pandas.DataFrame`, SI: limits, half-width, cost and grade of each field that has a cost."""

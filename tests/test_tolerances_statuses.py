@@ -1,0 +1,174 @@
+"""Every way to a status, and what a wrong end would be called: OPTIMAL is a promise of the whole.
+
+Oracles: the truth table of the promise; closed forms of the normal law; problems whose numbers cannot meet a limit.
+"""
+
+import dataclasses
+import itertools
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from oracles.linear_pair import COSTS, LIMIT, PAIR, above, closed_cost, linear, share
+from oracles.responses import Failing
+from rvjax.tolerances import Middle, Nominal, QuadraticLoss, ReciprocalPower, Requirement, Tolerance, Variable, allocate
+from rvjax.tolerances.optimum import designer, half_widths
+from rvjax.tolerances.optimum.certificate import Certifier
+from rvjax.tolerances.optimum.found import status_of
+from rvjax.tolerances.optimum.programme import End
+from rvjax.units import um
+
+UNITS = 20_000
+FEW = dict(costs=COSTS, samples=4096, certificate_samples=UNITS)
+STILL = {"a": Middle(0, 0)}
+BOTH = Requirement(lower=-LIMIT, upper=LIMIT, target=0.99)
+COST = ReciprocalPower(reference=1.0, finest=0.05, coarsest=5.0)
+
+
+def test_optimal_needs_every_part_of_the_promise():
+    for certified, exact, dear, settled, stationary in itertools.product((True, False), repeat=5):
+        status = status_of(
+            certified=certified, exact=exact, cost=1.21 if dear else 1.19, learned=1.0, settled=settled,
+            stationary=stationary,
+        )  # fmt: skip
+        good = certified and exact
+        assert (status == "NOT_CERTIFIED") == (not good)
+        assert (status == "SUBOPTIMAL") == (good and dear)
+        assert (status == "OPTIMAL") == (good and not dear and settled and stationary)
+        assert status in ("NOT_CERTIFIED", "SUBOPTIMAL", "OPTIMAL", "MAX_STEPS")
+
+
+def stepped(e):
+    """|a + 2 b| rounded up to whole steps of 2 um."""
+    return jnp.ceil(jnp.abs(linear(e)) / (2 * um)) * 2 * um
+
+
+@pytest.mark.parametrize("middles", [None, STILL], ids=["free", "still"])
+def test_a_response_in_steps_is_searched_by_values(middles):
+    """A mid-point that cannot move changes nothing. Its slopes are those of other units: a residual of one half."""
+    found = allocate(stepped, PAIR, Requirement(upper=20.1 * um, target=0.99), middles=middles, **FEW)
+    reached = share(found.half_widths, 20 * um)
+    assert found.status == "OPTIMAL" and 0 < above(reached, 0.99, UNITS) < 5
+    assert found.cost < 1.005 * closed_cost(reached, 20 * um)
+    price = (closed_cost(0.99, 22 * um) - closed_cost(0.99, 20 * um)) / (2 * um)
+    assert 3 * price < found.multipliers < price / 3 < 0
+
+
+@pytest.mark.parametrize("middles", [None, STILL], ids=["free", "still"])
+def test_units_that_fail_are_searched_by_values(middles):
+    edge = 15 * um  # units with a larger |b| fail
+    fragile = Failing({"a": 1.0, "b": 0.0}, {"a": 1.0, "b": edge})
+    found = allocate(fragile, PAIR, BOTH, middles=middles, **FEW)
+    a, b = (2 * stats.norm.cdf(3 * far / found.half_widths[n]) - 1 for n, far in (("a", LIMIT), ("b", edge)))
+    assert found.status == "OPTIMAL" and 0 < above(a * b, 0.99, UNITS) < 5
+
+
+@pytest.mark.parametrize("extra", ["moving", "loss"])
+def test_what_was_not_compared_by_values_is_not_called_optimal(extra):
+    more = dict(middles={"a": Middle(-5 * um, 5 * um)}) if extra == "moving" else {}
+    more |= dict(losses=QuadraticLoss(1e-3, 10 * um)) if extra == "loss" else {}
+    found = allocate(stepped, PAIR, Requirement(upper=20.1 * um, target=0.99), **more, **FEW)
+    assert found.status == "MAX_STEPS" and found.certificate.yield_.lower >= 0.99
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_limit_without_errors_that_no_number_can_meet(seed):
+    """c/size^p <= limit with size <= most: the least is c/most^p."""
+    random = np.random.default_rng(seed)
+    c, p, most = random.uniform(1, 5), random.uniform(0.5, 2.5), random.uniform(1.5, 3.0)
+    least = c / most**p
+    limit = least * (1 - random.uniform(0.002, 0.3))
+    found = allocate(
+        lambda e, v: {"play": e["a"] * v["size"], "stress": c / v["size"] ** p}, {"a": Tolerance.symmetric(0.1)},
+        {"play": Requirement(upper=1.0), "stress": Nominal(upper=limit)}, costs={"a": COST},
+        variables={"size": Variable(0.5, most)}, samples=1024, certificate_samples=5000,
+    )  # fmt: skip
+    assert (found.status, found.feasible) == ("INFEASIBLE", False)
+    assert found.shortfall["stress"] == pytest.approx(least - limit, rel=0.02)
+    assert found.helps == ("size", "upper") and f"than {most:.6g} (SI)" in found.reason
+
+
+def test_a_limit_without_errors_has_no_margin():
+    """d^2 >= 4.039 with d <= 2 is missed by 1 %, and d^2 >= 3.96 is met to the last digit, at its price."""
+
+    def solved(limit):
+        return allocate(
+            lambda e, v: {"play": e["a"] * v["d"], "q": v["d"] ** 2}, {"a": Tolerance.symmetric(0.1)},
+            {"play": Requirement(lower=-1.0, upper=1.0), "q": Nominal(lower=limit)}, costs={"a": COST},
+            variables={"d": Variable(1.0, 2.0)}, samples=2048, certificate_samples=UNITS,
+        )  # fmt: skip
+
+    missed, met = solved(4.039), solved(3.96)
+    assert (missed.status, missed.feasible) == ("INFEASIBLE", False)
+    assert missed.shortfall["q"] == pytest.approx(0.039, rel=1e-3)
+    assert met.status == "OPTIMAL" and 3.96 <= met.values["d"] ** 2 < 3.96 * (1 + 2e-4)
+    assert met.multipliers["q"] == pytest.approx(-met.cost / (2 * 3.96), rel=0.01)  # cost ~ d = sqrt(limit)
+
+
+def test_a_bound_with_a_small_price_is_named():
+    """Own cost 100 - 0.1 x: what the whole range saves is 0.1 % of the cost."""
+    found = allocate(
+        lambda e, v: {"size": v["x"] + 0.0 * e["a"]}, {"a": Tolerance(0.0, 0.0)}, {"size": Nominal(lower=0.1)},
+        costs={}, variables={"x": Variable(1.0, 2.0, 1.5, cost=lambda x: 100 - 0.1 * x)},
+    )  # fmt: skip
+    assert found.status == "OPTIMAL" and found.values["x"] == 2.0 and found.bounds_active["x"] == "upper"
+    assert found.value_prices["x"] == pytest.approx(-0.1, rel=1e-3)
+
+
+def worse(monkeypatch, **changes):
+    """Ends of the programme that are not what they seem."""
+    real = designer.Designer._run
+
+    def run(self, *given, **options):
+        return dataclasses.replace(real(self, *given, **options), **changes)
+
+    monkeypatch.setattr(designer.Designer, "_run", run)
+
+
+def test_an_end_that_ran_out_of_steps(monkeypatch):
+    worse(monkeypatch, settled=False)
+    assert allocate(linear, PAIR, BOTH, **FEW).status == "MAX_STEPS"
+
+
+def test_an_end_with_a_residual(monkeypatch):
+    """The audit sends it to the search by values; were this left out, it would be MAX_STEPS."""
+    monkeypatch.setattr(End, "residual", property(lambda self: 0.5))
+    assert allocate(linear, PAIR, BOTH, **FEW).status == "OPTIMAL"
+    monkeypatch.setattr(designer, "confirmed", lambda *given: True)
+    assert allocate(linear, PAIR, BOTH, **FEW).status == "MAX_STEPS"
+
+
+def test_a_certificate_that_does_not_hold(monkeypatch):
+    monkeypatch.setattr(Certifier, "holds", lambda self, statistics: False)
+    for options in ({}, {"grades": True}, {"middles": {"a": Middle(-1 * um, 1 * um)}}):
+        sized = {name: item.replace(size=0.025) for name, item in PAIR.items()}
+        found = allocate(linear, sized, BOTH, **options, **FEW)
+        assert found.status == "NOT_CERTIFIED" and (found.graded is None or found.graded.status == "NOT_CERTIFIED")
+
+
+class Costly:
+    """A response that says its units are costly."""
+
+    costly = True
+
+    def __call__(self, errors):
+        return linear(errors)
+
+
+def test_the_finest_that_only_the_certificate_accepts_are_not_called_the_cheapest(monkeypatch):
+    """The sample of the search sees no solution, and nothing cheaper was tried."""
+    monkeypatch.setattr(half_widths.Search, "opened", lambda self, start: (self.begin(start), False))
+    found = allocate(Costly(), PAIR, BOTH, **FEW)
+    assert found.status == "SUBOPTIMAL" and set(found.half_widths.values()) == {1 * um} and math.isnan(found.residual)
+
+
+@pytest.mark.parametrize("among", [[], (), np.array([])])
+def test_an_empty_list_is_refused_where_it_is_given(among):
+    if isinstance(among, tuple):
+        assert Variable(1.0, 2.0, among=among).among == ()  # the default
+    else:
+        with pytest.raises(ValueError, match=r"Variable\.among: the list is empty"):
+            Variable(1.0, 2.0, among=among)
