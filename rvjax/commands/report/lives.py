@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from rvjax import life
 from rvjax.designs import RVReducer
 from rvjax.population import Population, drawn, root_key
-from rvjax.records import PyTree
+from rvjax.records import Design, PyTree, Record, field, record, text
+from rvjax.response import per_response
 from rvjax.study import Study
 
 UNITS = 128
@@ -73,6 +74,35 @@ class Lives:
         return int(np.argmax(np.where(arms, self.first, -1)))
 
 
+@record
+class _Bearings(Record):
+    """Crank bearings of a unit: their lives under a duty, and the orders of their forces."""
+
+    design: Design = field("-", "the reducer", kind="record")
+    ways: tuple[tuple[str, object], ...] = text("samples, method and reliability of a life")
+    supports: tuple[tuple[str, str], ...] = text("contact of the pins, support of carrier and sun")
+
+    def rated(self, errors: PyTree, duty: life.Duty) -> life.Rating:
+        return life.rating(errors.stiffened(self.design), errors, duty, **dict(self.ways), **dict(self.supports))  # type: ignore[arg-type]
+
+    def orders(self, errors: PyTree, torque: jax.Array) -> jax.Array:
+        design, samples = errors.stiffened(self.design), 8 * self.design.cycloid.pin_count
+        found = life.force_orders(design, errors, output_torque=torque, samples=samples, **dict(self.supports))
+        return found.amplitude
+
+
+@per_response()
+def _rated(unit: _Bearings, population: Population, z: jax.Array, duty: life.Duty) -> life.Rating:
+    """Ratings of units with random numbers z (numbers, units)."""
+    return jax.vmap(lambda z: unit.rated(population.errors(z), duty), in_axes=-1)(z)
+
+
+@per_response()
+def _orders(unit: _Bearings, population: Population, z: jax.Array, torque: jax.Array) -> jax.Array:
+    """Amplitudes (units, discs, cranks, orders) N."""
+    return jax.vmap(lambda z: unit.orders(population.errors(z), torque), in_axes=-1)(z)
+
+
 def lives_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> Lives | None:
     """The bearing lives of a study that requires one; None for another study.
 
@@ -90,36 +120,19 @@ def lives_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> Liv
     duty = life.Duty(*np.asarray(given.duty, float).T)
     supports = dict(contact=given.pin_contact, carrier=given.carrier, sun=given.sun)
     ways = dict(samples=given.life_samples or given.samples, method=given.life_method, reliability=given.reliability)
-    ways |= supports
+    unit = _Bearings(study.design, tuple(ways.items()), tuple(supports.items()))
     pins, torque = study.design.cycloid.pin_count, float(np.max(np.abs(duty.output_torque)))
-
-    @jax.jit
-    def rate(z: jax.Array, duty: life.Duty) -> life.Rating:
-        def one(z: jax.Array) -> life.Rating:
-            errors = population.errors(z)
-            return life.rating(errors.stiffened(study.design), errors, duty, **ways)
-
-        return jax.vmap(one, in_axes=-1)(z)
-
-    @jax.jit
-    def turn(z: jax.Array) -> jax.Array:
-        def one(z: jax.Array) -> jax.Array:
-            errors = population.errors(z)
-            design = errors.stiffened(study.design)
-            return life.force_orders(design, errors, output_torque=torque, samples=8 * pins, **supports).amplitude
-
-        return jax.vmap(one, in_axes=-1)(z)
 
     # The first unit has every error at the centre of its limits; the others are random.
     z = np.asarray(drawn(population, root_key(study.seed + 3), jnp.uint32(0), count=units + 1)).copy()
     z[:, 0] = 0
-    rated = jax.device_get(rate(z, duty))
+    rated = jax.device_get(_rated(unit, population, z, duty))
     fine = np.isfinite(rated.life) & (np.arange(units + 1) > 0)
     if not fine.any():
         raise ValueError(f"study {study.name}: none of {units} units has a bearing life")
 
     def lives(z: PyTree, duty: life.Duty) -> Values:
-        return np.asarray(rate(z, duty).life)
+        return np.asarray(_rated(unit, population, z, duty).life)
 
     def gain(z: PyTree) -> tuple[float, float]:
         changed = lives(z, duty)[fine]
@@ -134,7 +147,7 @@ def lives_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> Liv
         curve.append([found[0], *np.nanquantile(found[fine], (LOW, 0.5, 1 - LOW))])
     share = _flat(first.arm, first.support)[fine].mean(axis=0)
     discs, cranks = rated.arm.shape[1:]
-    wave = np.abs(np.asarray(turn(z[:, : min(units, 32) + 1]))).reshape(-1, discs * cranks, 8 * pins)
+    wave = np.abs(np.asarray(_orders(unit, population, z[:, : min(units, 32) + 1], torque))).reshape(-1, discs * cranks, 8 * pins)
     wave = wave[:, int(np.argmax(share[: discs * cranks]))]
     return Lives(
         method=given.life_method,
