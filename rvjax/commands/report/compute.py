@@ -3,12 +3,15 @@
 from dataclasses import dataclass
 
 from rvjax._ground import progress
-from rvjax.commands.allocate import Answer, answer, phases_of
+from rvjax.commands.allocate import Answer, answer, figures, phases_of
 from rvjax.commands.budget import Budget, budget_if_any
 from rvjax.commands.report import surrogate as behind
 from rvjax.commands.report.inputs import Inputs
-from rvjax.commands.report.lives import Lives, lives_if_any
+from rvjax.commands.report.lives import Lives, begin_lives, lives_if_any
 from rvjax.commands.speak import READING
+from rvjax.population import Population
+from rvjax.render import Figure
+from rvjax.response import begin_programs, is_costly
 
 SLIDERS, WRITING = "numbers behind the sliders", "the page"
 
@@ -22,12 +25,14 @@ class Shown:
         surrogate: behind the sliders, None where nothing can move.
         budget: of the allocated tolerances, None where the study has none.
         lives: of the bearings with the allocated tolerances, None where the study requires none.
+        drawn: figures of the result that are begun.
     """
 
     answer: Answer
     surrogate: behind.Surrogate | None = None
     budget: Budget | None = None
     lives: Lives | None = None
+    drawn: tuple[Figure, ...] = ()
 
 
 def phases(inputs: Inputs) -> dict[str, float]:
@@ -49,8 +54,15 @@ def compute(inputs: Inputs) -> Shown | None:
         return None
     found = inputs.answer or answer.answer(inputs.study, progress=not inputs.quiet)
     progress.begin(SLIDERS)
+    response = found.study.response()
+    if inputs.answer is not None and is_costly(response):  # else this process has the programs
+        begin_programs(response, Population.of(found.after.tolerances), slopes=True)
+    begin_lives(inputs.study, found.allocation.tolerances)
+    drawn = tuple(figures(found))
+    for figure in drawn:
+        figure.begin("svg")
     moved = behind.surrogate(found)
     budget = budget_if_any(inputs.study, found.allocation.tolerances)
     lives = lives_if_any(inputs.study, found.allocation.tolerances)
     progress.begin(WRITING)
-    return Shown(found, moved, budget, lives)
+    return Shown(found, moved, budget, lives, drawn)

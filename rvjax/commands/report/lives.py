@@ -1,6 +1,7 @@
 """Bearing lives of the units of a result: which bearing fails first, by which load, error and phase of the duty."""
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,7 @@ from rvjax.response import per_response
 from rvjax.study import Study
 
 UNITS = 128
+TURNED = 32  # of them, through a whole revolution of the output
 LOW = 0.05  # share of the units: fewer are too few of so many
 TORQUES = (0.5, 0.7, 1.0, 1.4, 2.0)  # times the largest of the duty
 LIVES = ("life", "arm_bearing_life")
@@ -79,11 +81,11 @@ class _Bearings(Record):
     """Crank bearings of a unit: their lives under a duty, and the orders of their forces."""
 
     design: Design = field("-", "the reducer", kind="record")
-    ways: tuple[tuple[str, object], ...] = text("samples, method and reliability of a life")
+    ways: tuple[tuple[str, Any], ...] = text("samples, method and reliability of a life")
     supports: tuple[tuple[str, str], ...] = text("contact of the pins, support of carrier and sun")
 
     def rated(self, errors: PyTree, duty: life.Duty) -> life.Rating:
-        return life.rating(errors.stiffened(self.design), errors, duty, **dict(self.ways), **dict(self.supports))  # type: ignore[arg-type]
+        return life.rating(errors.stiffened(self.design), errors, duty, **dict(self.ways), **dict(self.supports))
 
     def orders(self, errors: PyTree, torque: jax.Array) -> jax.Array:
         design, samples = errors.stiffened(self.design), 8 * self.design.cycloid.pin_count
@@ -103,6 +105,42 @@ def _orders(unit: _Bearings, population: Population, z: jax.Array, torque: jax.A
     return jax.vmap(lambda z: unit.orders(population.errors(z), torque), in_axes=-1)(z)
 
 
+class _Question(NamedTuple):
+    """What the lives of a study need."""
+
+    unit: _Bearings
+    population: Population
+    duty: life.Duty
+    torque: float  # the largest of the duty, N m
+
+    @staticmethod
+    def of(study: Study, tolerances: PyTree) -> "_Question | None":
+        """None where the study requires no life."""
+        if not isinstance(study.design, RVReducer) or not any(name in study.requirements for name in LIVES):
+            return None
+        given = study.conditions
+        supports = dict(contact=given.pin_contact, carrier=given.carrier, sun=given.sun)
+        samples = given.life_samples or given.samples
+        ways = dict(samples=samples, method=given.life_method, reliability=given.reliability)
+        unit = _Bearings(study.design, tuple(ways.items()), tuple(supports.items()))
+        duty = life.Duty(*np.asarray(given.duty, float).T)
+        return _Question(unit, Population.of(tolerances), duty, float(np.max(np.abs(duty.output_torque))))
+
+
+def begin_lives(study: Study, tolerances: PyTree) -> None:
+    """Begin the programs of `lives_if_any`, see `Compiled.begin`.
+
+    Args:
+        study: as there.
+        tolerances: as there.
+    """
+    if (asked := _Question.of(study, tolerances)) is not None:
+        unit, population, duty, torque = asked
+        none = np.full((population.numbers, UNITS + 1), np.nan)  # units that the model does not solve
+        _rated.begin(unit, population, none, duty)
+        _orders.begin(unit, population, none[:, : TURNED + 1], torque)
+
+
 def lives_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> Lives | None:
     """The bearing lives of a study that requires one; None for another study.
 
@@ -114,14 +152,10 @@ def lives_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> Liv
     Raises:
         ValueError: no unit has a life.
     """
-    if not isinstance(study.design, RVReducer) or not any(name in study.requirements for name in LIVES):
+    if (asked := _Question.of(study, tolerances)) is None:
         return None
-    given, population = study.conditions, Population.of(tolerances)
-    duty = life.Duty(*np.asarray(given.duty, float).T)
-    supports = dict(contact=given.pin_contact, carrier=given.carrier, sun=given.sun)
-    ways = dict(samples=given.life_samples or given.samples, method=given.life_method, reliability=given.reliability)
-    unit = _Bearings(study.design, tuple(ways.items()), tuple(supports.items()))
-    pins, torque = study.design.cycloid.pin_count, float(np.max(np.abs(duty.output_torque)))
+    unit, population, duty, torque = asked
+    given, pins = study.conditions, unit.design.cycloid.pin_count
 
     # The first unit has every error at the centre of its limits; the others are random.
     z = np.asarray(drawn(population, root_key(study.seed + 3), jnp.uint32(0), count=units + 1)).copy()
@@ -147,11 +181,12 @@ def lives_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> Liv
         curve.append([found[0], *np.nanquantile(found[fine], (LOW, 0.5, 1 - LOW))])
     share = _flat(first.arm, first.support)[fine].mean(axis=0)
     discs, cranks = rated.arm.shape[1:]
-    wave = np.abs(np.asarray(_orders(unit, population, z[:, : min(units, 32) + 1], torque))).reshape(-1, discs * cranks, 8 * pins)
+    turned = _orders(unit, population, z[:, : min(units, TURNED) + 1], torque)
+    wave = np.abs(np.asarray(turned)).reshape(-1, discs * cranks, 8 * pins)
     wave = wave[:, int(np.argmax(share[: discs * cranks]))]
     return Lives(
         method=given.life_method,
-        samples=ways["samples"],
+        samples=dict(unit.ways)["samples"],
         reliability=given.reliability,
         life=rated.life[fine],
         failed=int(units - fine.sum()),

@@ -9,6 +9,7 @@ import time
 
 import rvjax
 from rvjax import catalogue, levels, models
+from rvjax._ground.lines import words
 from rvjax.commands.allocate import (
     FILE,
     Answer,
@@ -88,8 +89,8 @@ def page_of(found: Shown, source: str, *, date: str = "") -> str:
         source: of the study, as named.
         date: of the result.
     """
-    answer, drawn = found.answer, {figure.name: figure for figure in figures(found.answer)}
-    study = answer.study
+    answer, study = found.answer, found.answer.study
+    drawn = {figure.name: figure for figure in found.drawn or figures(answer)}
     unlimited = unlimited_tables(answer.unlimited, answer.study)
     result = Section("Result", (requirement_table(answer), *unlimited, *tolerance_tables(answer)))
     sections: list[Content] = [result, _requirements(answer, drawn), _tolerances(drawn)]
@@ -133,14 +134,10 @@ def _verdict(answer: Answer) -> str:
 
 def _shortfalls(answer: Answer) -> list[str]:
     lines = [
-        f"The limit of {_words(name)} {text}." for name, text in shortfalls(answer.study, answer.allocation).items()
+        f"The limit of {words(name)} {text}." for name, text in shortfalls(answer.study, answer.allocation).items()
     ]
     infeasible = "All columns “after” show the finest tolerances of the processes."
     return lines + ([] if answer.allocation.feasible else [infeasible])
-
-
-def _words(name: str) -> str:
-    return name.replace("_", " ")
 
 
 def _boxes(answer: Answer) -> list[tuple[str, str, str]]:
@@ -277,7 +274,7 @@ def _levels(answer: Answer) -> Section:
     columns = [Text("response"), Text("level", wraps=True), *short, Text("why", wraps=True)]
     about = {f.name: f.metadata for f in dataclasses.fields(study.conditions)}
     conditions = ", ".join(
-        f"{_words(key)} = {condition_text(value, about[key])}"
+        f"{words(key)} = {condition_text(value, about[key])}"
         for key in models.kind(study.design).conditions_of(outputs)
         if (value := getattr(study.conditions, key)) is not None
     )
