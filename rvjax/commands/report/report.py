@@ -7,8 +7,7 @@ import dataclasses
 import shlex
 import time
 
-import rvjax
-from rvjax import catalogue, levels, models
+from rvjax import levels, models
 from rvjax._ground.lines import words
 from rvjax.commands.allocate import (
     FILE,
@@ -28,15 +27,12 @@ from rvjax.commands.allocate import (
 from rvjax.commands.budget import section_on
 from rvjax.commands.cells import condition_text, share
 from rvjax.commands.report import live
-from rvjax.commands.report.bearings import bearing_section
 from rvjax.commands.report.compute import Shown
 from rvjax.commands.report.inputs import Inputs, mark
+from rvjax.commands.report.reducer import design_section
 from rvjax.commands.report.worst_units import SHARE_SHOWN, rows_of, worst_units
-from rvjax.designs import RVReducer
-from rvjax.records import PyTree
 from rvjax.render import (
     Block,
-    Cell,
     Column,
     Content,
     Figure,
@@ -50,7 +46,6 @@ from rvjax.render import (
     leading_comment,
 )
 from rvjax.status import MEANING, Status
-from rvjax.study import Study, facts_of, shown
 from rvjax.tolerances import Estimate
 
 
@@ -95,9 +90,9 @@ def page_of(found: Shown, source: str, *, date: str = "") -> str:
     result = Section("Result", (requirement_table(answer), *unlimited, *tolerance_tables(answer)))
     sections: list[Content] = [result, _requirements(answer, drawn), _tolerances(drawn)]
     sections += [live.block(found.surrogate, answer)] if found.surrogate else []
-    sections += [design_section(study), _influence(answer, drawn)]
+    sections += [found.design or design_section(study), _influence(answer, drawn)]
     sections += [section_on(found.budget)] if found.budget else []
-    sections += [bearing_section(found.lives, study)] if found.lives else []
+    sections += [found.bearings] if found.bearings else []
     sections += [_worst(answer, drawn), _levels(answer)]
     about = dict(study=study.name, author=study.about.author, revision=study.about.revision, computed=date)
     certificate = answer.allocation.certificate
@@ -208,43 +203,6 @@ def _influence(answer: Answer, drawn: dict[str, Figure]) -> Section:
         "units are compared with units in which this error is sampled again."
     )
     return Section("Which error matters", (text, *influence_tables(answer), drawn["variance_shares"]))
-
-
-def design_section(study: Study) -> Section:
-    """Every number of the design and where it comes from, and a drawing to scale."""
-    rows: list[list[Cell]] = []
-    for one in study.numbers:
-        name = Titled(one.path.replace(".", " "), one.meaning)
-        rows.append([name, _value(one.value, one.unit), one.origin, "assumed" if one.assumed else ""])
-    rows += [[name, value, "follows from the numbers above", ""] for name, value in facts_of(study.design)]
-    parts: list[Note | Table | Figure] = []
-    if isinstance(study.design, RVReducer):
-        parts.append(Figure("design", _drawn(study.design), lambda: rvjax.plotting.drawings.reducer(study.design)))
-    if study.assumed:
-        parts.append(Note("Values marked assumed are not published: the result depends on them."))
-    if study.base:
-        parts.append(Note(f"{study.base} is {catalogue.citation(study.base)}"))
-    columns = [Text("number"), Text("value", wraps=True), Text("from", wraps=True), Text("note")]
-    listed = Table("design", columns, rows)
-    numbers = Section("", (listed,), fold=f"All {len(rows)} numbers of the design and their sources")
-    return Section("The reducer", (Section("", tuple(parts), style="reducer"), numbers))
-
-
-def _value(value: PyTree, unit: str) -> str:
-    """A number of a design with its unit; of an array the elements."""
-    if getattr(value, "shape", ()) or isinstance(value, list | tuple):
-        return ", ".join(_value(item, unit) for item in value)
-    return shown(value, unit) if unit != "-" else f"{float(value):.6g}"
-
-
-def _drawn(design: RVReducer) -> str:
-    cycloid = design.cycloid
-    return (
-        f"Second stage along its axis, to scale; diameters: {cycloid.pin_count} pins of "
-        f"{shown(2 * cycloid.pin_radius, 'm')} on a circle of {shown(2 * cycloid.pin_circle_radius, 'm')}, one of "
-        f"{cycloid.disc_count} discs, {design.cranks.count} cranks on a circle of "
-        f"{shown(2 * design.cranks.circle_radius, 'm')}"
-    )
 
 
 def _worst(answer: Answer, drawn: dict[str, Figure]) -> Section:
