@@ -177,8 +177,7 @@ def test_lives_are_those_of_the_units_and_their_programs_are_kept(question, kept
 
     monkeypatch.setattr(life, "rating", rating)
     monkeypatch.setattr(life, "force_orders", orders)
-    for name in ("_rated", "_orders"):
-        monkeypatch.setattr(lives, name, per_response()(getattr(lives, name).__wrapped__))
+    monkeypatch.setattr(lives, "_of_units", per_response()(lives._of_units.__wrapped__))
     duty, given, units = np.asarray(question.conditions.duty), question.tolerances, 6
     phases, torque = len(duty), np.abs(duty[:, 0]).max()
     found = lives_if_any(question, given, units=units)
@@ -194,8 +193,7 @@ def test_lives_are_those_of_the_units_and_their_programs_are_kept(question, kept
     np.testing.assert_allclose(found.force[:, 0], torque * (1 + 1e5 * middle), rtol=1e-12)
     rms = np.sqrt(np.mean([(1 + 1e5 * x) ** 2 for x in radius]))
     np.testing.assert_allclose(found.force[:, 1], torque * rms, rtol=1e-12)
-    kept = sorted(path.name.split("-")[0] for path in kept_programs.iterdir() if path.suffix == SUFFIX)
-    assert kept == ["_orders", "_rated"]
+    assert len([path for path in kept_programs.iterdir() if path.suffix == SUFFIX]) == 2
 
 
 def test_a_study_without_a_life_has_no_section():

@@ -4,7 +4,8 @@ import io
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from rvjax.render.quantity import micro
@@ -30,7 +31,10 @@ class Figure:
     name: str
     caption: str
     draw: "Callable[[], Axes]"
-    _begun: dict[str, Future[bytes]] = field(default_factory=dict, compare=False, repr=False)
+
+    @cached_property
+    def _begun(self) -> dict[str, Future[bytes]]:
+        return {}
 
     def begin(self, form: str) -> None:
         """Draw it in another thread while the caller computes; `content` waits for it.

@@ -249,8 +249,8 @@ def aligned(
             rest = width - _total([least[j] for j in block])
             if about[k].narrow and rest > 0:
                 least[k] = min(full[k], least[k] + rest)
-        own = ([each[k] for k in block] for each in (texts, least, left))
-        lines = _drawn(*own, under if block is blocks[-1] else ())
+        below = under if block is blocks[-1] else ()
+        lines = _drawn([texts[k] for k in block], [least[k] for k in block], [left[k] for k in block], below)
         drawn.append("\n".join(map(str.rstrip, lines)))
     return "\n\n".join(drawn)
 

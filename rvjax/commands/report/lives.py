@@ -1,5 +1,6 @@
 """Bearing lives of the units of a result: which bearing fails first, by which load, error and phase of the duty."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from rvjax import life
 from rvjax.designs import RVReducer
 from rvjax.population import Population, drawn, root_key
-from rvjax.records import Design, PyTree, Record, field, record, text
+from rvjax.records import PyTree, Record, field, record, text
 from rvjax.response import per_response
 from rvjax.study import Study
 
@@ -77,38 +78,39 @@ class Lives:
 
 
 @record
-class _Bearings(Record):
-    """Crank bearings of a unit: their lives under a duty, and the orders of their forces."""
+class _Rated(Record):
+    """Lives of the crank bearings of one unit under a duty."""
 
-    design: Design = field("-", "the reducer", kind="record")
-    ways: tuple[tuple[str, Any], ...] = text("samples, method and reliability of a life")
-    supports: tuple[tuple[str, str], ...] = text("contact of the pins, support of carrier and sun")
+    design: RVReducer = field("-", "the reducer", kind="record")
+    ways: tuple[tuple[str, Any], ...] = text("arguments of the rating")
 
-    def rated(self, errors: PyTree, duty: life.Duty) -> life.Rating:
-        return life.rating(errors.stiffened(self.design), errors, duty, **dict(self.ways), **dict(self.supports))
+    def __call__(self, errors: PyTree, duty: PyTree) -> PyTree:
+        return life.rating(errors.stiffened(self.design), errors, duty, **dict(self.ways))
 
-    def orders(self, errors: PyTree, torque: jax.Array) -> jax.Array:
-        design, samples = errors.stiffened(self.design), 8 * self.design.cycloid.pin_count
-        found = life.force_orders(design, errors, output_torque=torque, samples=samples, **dict(self.supports))
-        return found.amplitude
+
+@record
+class _Turned(Record):
+    """Orders (discs, cranks, orders) of the forces of one unit under a torque, N."""
+
+    design: RVReducer = field("-", "the reducer", kind="record")
+    ways: tuple[tuple[str, Any], ...] = text("arguments of the orders")
+
+    def __call__(self, errors: PyTree, torque: PyTree) -> PyTree:
+        design = errors.stiffened(self.design)
+        return life.force_orders(design, errors, output_torque=torque, **dict(self.ways)).amplitude
 
 
 @per_response()
-def _rated(unit: _Bearings, population: Population, z: jax.Array, duty: life.Duty) -> life.Rating:
-    """Ratings of units with random numbers z (numbers, units)."""
-    return jax.vmap(lambda z: unit.rated(population.errors(z), duty), in_axes=-1)(z)
-
-
-@per_response()
-def _orders(unit: _Bearings, population: Population, z: jax.Array, torque: jax.Array) -> jax.Array:
-    """Amplitudes (units, discs, cranks, orders) N."""
-    return jax.vmap(lambda z: unit.orders(population.errors(z), torque), in_axes=-1)(z)
+def _of_units(unit: Callable[[PyTree, PyTree], PyTree], population: Population, z: jax.Array, load: PyTree) -> PyTree:
+    """Lives or orders of the units with random numbers z (numbers, units)."""
+    return jax.vmap(lambda z: unit(population.errors(z), load), in_axes=-1)(z)
 
 
 class _Question(NamedTuple):
-    """What the lives of a study need."""
+    """Arguments of the programs for one study."""
 
-    unit: _Bearings
+    rated: _Rated
+    turned: _Turned
     population: Population
     duty: life.Duty
     torque: float  # the largest of the duty, N m
@@ -121,10 +123,15 @@ class _Question(NamedTuple):
         given = study.conditions
         supports = dict(contact=given.pin_contact, carrier=given.carrier, sun=given.sun)
         samples = given.life_samples or given.samples
-        ways = dict(samples=samples, method=given.life_method, reliability=given.reliability)
-        unit = _Bearings(study.design, tuple(ways.items()), tuple(supports.items()))
-        duty = life.Duty(*np.asarray(given.duty, float).T)
-        return _Question(unit, Population.of(tolerances), duty, float(np.max(np.abs(duty.output_torque))))
+        ways = dict(samples=samples, method=given.life_method, reliability=given.reliability) | supports
+        orders = dict(samples=8 * study.design.cycloid.pin_count) | supports
+        return _Question(
+            _Rated(study.design, tuple(ways.items())),
+            _Turned(study.design, tuple(orders.items())),
+            Population.of(tolerances),
+            duty := life.Duty(*np.asarray(given.duty, float).T),
+            float(np.max(np.abs(duty.output_torque))),
+        )
 
 
 def begin_lives(study: Study, tolerances: PyTree) -> None:
@@ -135,10 +142,10 @@ def begin_lives(study: Study, tolerances: PyTree) -> None:
         tolerances: as there.
     """
     if (asked := _Question.of(study, tolerances)) is not None:
-        unit, population, duty, torque = asked
+        rated, turned, population, duty, torque = asked
         none = np.full((population.numbers, UNITS + 1), np.nan)  # units that the model does not solve
-        _rated.begin(unit, population, none, duty)
-        _orders.begin(unit, population, none[:, : TURNED + 1], torque)
+        _of_units.begin(rated, population, none, duty)
+        _of_units.begin(turned, population, none[:, : TURNED + 1], torque)
 
 
 def lives_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> Lives | None:
@@ -154,19 +161,19 @@ def lives_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> Liv
     """
     if (asked := _Question.of(study, tolerances)) is None:
         return None
-    unit, population, duty, torque = asked
+    unit, turned, population, duty, torque = asked
     given, pins = study.conditions, unit.design.cycloid.pin_count
 
     # The first unit has every error at the centre of its limits; the others are random.
     z = np.asarray(drawn(population, root_key(study.seed + 3), jnp.uint32(0), count=units + 1)).copy()
     z[:, 0] = 0
-    rated = jax.device_get(_rated(unit, population, z, duty))
+    rated = jax.device_get(_of_units(unit, population, z, duty))
     fine = np.isfinite(rated.life) & (np.arange(units + 1) > 0)
     if not fine.any():
         raise ValueError(f"study {study.name}: none of {units} units has a bearing life")
 
     def lives(z: PyTree, duty: life.Duty) -> Values:
-        return np.asarray(_rated(unit, population, z, duty).life)
+        return np.asarray(_of_units(unit, population, z, duty).life)
 
     def gain(z: PyTree) -> tuple[float, float]:
         changed = lives(z, duty)[fine]
@@ -181,8 +188,8 @@ def lives_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> Liv
         curve.append([found[0], *np.nanquantile(found[fine], (LOW, 0.5, 1 - LOW))])
     share = _flat(first.arm, first.support)[fine].mean(axis=0)
     discs, cranks = rated.arm.shape[1:]
-    turned = _orders(unit, population, z[:, : min(units, TURNED) + 1], torque)
-    wave = np.abs(np.asarray(turned)).reshape(-1, discs * cranks, 8 * pins)
+    waves = _of_units(turned, population, z[:, : min(units, TURNED) + 1], torque)
+    wave = np.abs(np.asarray(waves)).reshape(-1, discs * cranks, 8 * pins)
     wave = wave[:, int(np.argmax(share[: discs * cranks]))]
     return Lives(
         method=given.life_method,
