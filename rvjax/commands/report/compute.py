@@ -49,7 +49,7 @@ def phases(inputs: Inputs) -> dict[str, float]:
         return {}
     if inputs.answer is None:
         return phases_of(inputs.study, READING, SLIDERS, WRITING)
-    return {READING: 6.0, SLIDERS: 10.0, WRITING: 10.0}
+    return {READING: 1.0, SLIDERS: 10.0, WRITING: 1.0}
 
 
 def compute(inputs: Inputs) -> Shown | None:
