@@ -106,7 +106,7 @@ def answered(tmp_path_factory):
 @pytest.fixture
 def undrawn(monkeypatch):
     """Pages and folders with empty plots, two seconds sooner each: for tests of their words."""
-    monkeypatch.setattr(Figure, "content", lambda *_: b"")
+    monkeypatch.setattr(Figure, "_rendered", lambda *_: b"")
 
 
 @pytest.fixture

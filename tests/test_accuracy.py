@@ -5,10 +5,13 @@ units, designs and accuracies that the stored table never saw.
 """
 
 import dataclasses
+import itertools
 import json
 import math
 import sys
+from collections import Counter
 from functools import partial
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +20,7 @@ import pytest
 
 from rvjax import cli, levels, models, study
 from rvjax.catalogue import RV_20E, RV_40E
+from rvjax.commands.tradeoff.report import report
 from rvjax.levels import measured
 from rvjax.levels.measure import evaluate, limits
 from rvjax.levels.table import SAFETY, Level, Model, Table, stored
@@ -281,6 +285,18 @@ def test_the_command_prints_writes_and_draws(tmp_path, monkeypatch, capsys):
     assert json.loads(capsys.readouterr().out) == json.loads(files[0].read_text())
     assert cli.main(["tradeoff", "--json", str(tmp_path / "t.txt")]) == 2
     assert "must end with .json" in capsys.readouterr().err
+
+
+def test_the_table_of_levels_fits_the_terminal():
+    """A row for each level, with the numbers of the Python text; none of them is lost in a narrow terminal."""
+    table = Table({"cores": 2}, 0, {"m": model(ROUGH, FINE)})
+    shown = report(SimpleNamespace(json=None, picture=None), (table, 1.0))
+    rows = [line.split() for line in levels.report(table).split("\n") if line.startswith("* ")]
+    assert [row[1] for row in rows] == ["rough", "fine", "exact"]
+    assert [line.split() for line in shown.text().split("\n") if line.startswith("* ")] == rows
+    narrow = shown.text(40)
+    assert max(map(len, narrow.split("\n"))) <= 40
+    assert not Counter(itertools.chain(*rows)) - Counter(narrow.split())
 
 
 def test_the_level_that_the_conditions_select_is_named_with_its_measured_error():

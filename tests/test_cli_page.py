@@ -17,13 +17,14 @@ from cli_study import PICTURES, SMALL, UNITS
 import rvjax
 import rvjax.commands.allocate.answer
 from rvjax import cli, study
-from rvjax.commands.allocate import report_on
+from rvjax.commands.allocate import report_on, requirement_table
+from rvjax.commands.cells import met_text
 from rvjax.commands.report import Shown, page_of
 from rvjax.commands.report.worst_units import WorstUnit, rows_of, worst_units
 from rvjax.population.sample_statistics import CentralMoments, Sampled
 from rvjax.render import write_files
 from rvjax.study.study import About
-from rvjax.tolerances import influences
+from rvjax.tolerances import Estimate, Verdict, influences
 
 pytestmark = pytest.mark.usefixtures("answers")
 
@@ -237,6 +238,22 @@ def test_an_answer_says_how_many_units_failed_why_and_how_they_count(answers, an
     assert {key: report_on(found).json()["certificate"][key] for key in failures} == failures
     html = page_of(Shown(found), "x.toml")
     assert "2 CONTACT_OVERLOAD (" in html and "the first is unit 612)" in html
+
+
+def test_a_result_says_of_its_requirements_what_a_comparison_says(answers, answered):
+    """The interval of a yield is above the target of 99 %, about it, or below it."""
+    found = answers[SMALL]
+    name, certificate = next(iter(found.study.requirements)), found.allocation.certificate
+    unsure = f"✘ not shown with {certificate.samples:,} units"
+    for value, lower, said in ((0.999, 0.995, "✔ met"), (0.995, 0.985, unsure), (0.9, 0.8, "✘ not met")):
+        one = Verdict("", "share", Estimate(value, 1e-3, lower, 1.0), said == "✔ met")
+        judged = dataclasses.replace(certificate, verdicts=dict(certificate.verdicts) | {name: one})
+        allocation = dataclasses.replace(found.allocation, certificate=judged, graded=None)
+        table = requirement_table(dataclasses.replace(found, allocation=allocation))
+        assert table.texts("page")[1][0][-1] == said
+        assert said[2:] == met_text(found.study.requirements[name], one, certificate.samples)
+        headers, rows = table.values()
+        assert rows[0][headers.index("met after")] == (said == "✔ met")
 
 
 def test_text_of_the_user_is_escaped(answers, answered, undrawn):

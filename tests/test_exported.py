@@ -97,6 +97,18 @@ def test_what_differs_is_traced(folder, monkeypatch):
     assert len(TRACED) == len(asked) + 1
 
 
+def test_a_program_of_another_source_is_traced(monkeypatch):
+    """A program may hold formulas of any package: each of them is part of the key."""
+    digest, read = exported._source.__wrapped__, Path.read_bytes
+    before, root = digest(), Path(exported.__file__).parents[1]
+    for changed in (root / "life" / "rating.py", root / "_jax" / "batching.py", root / "units.py"):
+        other = lambda path, changed=changed: read(path) + b"#" * (path == changed)  # noqa: E731
+        monkeypatch.setattr(Path, "read_bytes", other)
+        assert digest() != before, changed
+    monkeypatch.setattr(Path, "read_bytes", read)
+    assert digest() == before
+
+
 @pytest.mark.parametrize("content", [b"", b"not a program", None])
 def test_a_file_that_does_not_load_is_traced_again(folder, content, capsys):
     given = Power(3.0, 2), np.ones(3)

@@ -13,12 +13,16 @@ import pytest
 from life_cases import BASIC, NAMED, unit_of
 
 from rvjax import RVErrors, Status, life, study
+from rvjax._jax.exported import SUFFIX
+from rvjax.commands.report import lives
 from rvjax.commands.report.bearings import bearing_section
-from rvjax.commands.report.lives import Lives, lives_if_any
+from rvjax.commands.report.lives import TORQUES, Lives, lives_if_any
 from rvjax.life import causes
 from rvjax.loaded import BearingForces
 from rvjax.render import Figure, Note, Table
+from rvjax.response import per_response
 from rvjax.status import SolveInfo, at_once
+from rvjax.tolerances import sample
 from rvjax.units import rpm
 
 HOUR = 3600.0
@@ -153,6 +157,43 @@ def test_a_share_of_bearings_is_no_share_of_units(question):
     assert "4 sample units" in first and "half have a rated life above 3,500 h" in first and "3 further units" in first
     assert "no tilt" in last and "differ in level" in last
     assert not any(isinstance(part, (Table, Figure)) and part.name == "duty_phases" for part in found.content)
+
+
+def test_lives_are_those_of_the_units_and_their_programs_are_kept(question, kept_programs, monkeypatch):
+    """Oracle: a law of one error and the duty in the place of the model, and the units by their numbers."""
+
+    def life_of(radius, duty):
+        return HOUR * 1e9 * (1 - 2e4 * radius) / sum(time * abs(torque) ** 3 for torque, _, time in duty)
+
+    def rating(design, errors, duty, *, samples, method, reliability, contact, carrier, sun):
+        rows = [[column[k] for column in (duty.output_torque, duty.output_speed, duty.time)] for k in range(phases)]
+        whole, (discs, cranks) = life_of(errors.pin_radius, rows), errors.crank_eccentricity.shape
+        arm = whole * jnp.arange(2.0, 2.0 + discs * cranks).reshape(discs, cranks)
+        return life.Rating(whole, arm, None, arm / HOUR, None, whole, at_once(whole))
+
+    def orders(design, errors, *, output_torque, samples, contact, carrier, sun):
+        size = output_torque * (1 + 1e5 * errors.pin_radius) * jnp.ones((*errors.crank_eccentricity.shape, samples))
+        return causes.Orders(np.arange(samples), jax.lax.complex(size, 0 * size), None)
+
+    monkeypatch.setattr(life, "rating", rating)
+    monkeypatch.setattr(life, "force_orders", orders)
+    monkeypatch.setattr(lives, "_of_units", per_response()(lives._of_units.__wrapped__))
+    duty, given, units = np.asarray(question.conditions.duty), question.tolerances, 6
+    phases, torque = len(duty), np.abs(duty[:, 0]).max()
+    found = lives_if_any(question, given, units=units)
+    radius = [float(sample(given, k, seed=question.seed + 3).pin_radius) for k in range(1, units + 1)]
+    due = np.array([life_of(x, duty) for x in radius])
+    np.testing.assert_allclose(found.life, due, rtol=1e-12)
+    middle = float(given.pin_radius.middle)
+    np.testing.assert_allclose(found.centre, life_of(middle, duty) * np.arange(2, 2 + len(found.centre)), rtol=1e-12)
+    assert found.held["pin_radius"][0] == pytest.approx(life_of(middle, duty) - due.mean(), rel=1e-9)
+    assert found.held["disc_bore"] == (0.0, 0.0) and found.failed == 0
+    one = [life_of(middle, [(factor * torque, 0, phases)]) for factor in TORQUES]
+    np.testing.assert_allclose(found.of_torque[:, 0], one, rtol=1e-12)
+    np.testing.assert_allclose(found.force[:, 0], torque * (1 + 1e5 * middle), rtol=1e-12)
+    rms = np.sqrt(np.mean([(1 + 1e5 * x) ** 2 for x in radius]))
+    np.testing.assert_allclose(found.force[:, 1], torque * rms, rtol=1e-12)
+    assert len([path for path in kept_programs.iterdir() if path.suffix == SUFFIX]) == 2
 
 
 def test_a_study_without_a_life_has_no_section():

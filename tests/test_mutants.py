@@ -1,10 +1,13 @@
 """The table of mutants fits the tree, and the page shows the score of the last `python -m census.mutants`."""
 
 import ast
+import itertools
 import json
 import re
 import shlex
 from pathlib import Path
+
+from _pytest.mark.expression import Expression
 
 from census import mutants
 
@@ -18,9 +21,50 @@ def test_every_expression_is_there_once_and_its_tests_exist():
     assert len({m.breaks for m in found}) == len(found) >= 60
     for mutant in found:
         assert mutant.expression != mutant.becomes, mutant.breaks
-        path, *rest = shlex.split(mutant.tests)
-        names = re.findall(r"^def test_(\w+)", (ROOT / path).read_text("utf-8"), re.MULTILINE)
-        assert names and (not rest or rest[0] == "-k"), mutant.breaks
+        assert selected(mutant.tests), mutant.breaks
+
+
+def selected(tests: str) -> list[str]:
+    """Tests of a file that a row names: all, or those that the words after -k may select.
+
+    pytest matches a word with the names of test and file and with the ids of parameters, in capitals or not. These ids
+    are somewhere in the text of the decorators and fixtures of a test, or of what these name in the folder of tests.
+    """
+    path, *rest = shlex.split(tests)
+    assert not rest or (rest[0] == "-k" and len(rest) == 2), tests
+    defined = {}
+    for item in ast.parse((ROOT / path).read_text("utf-8")).body:
+        names = [t.id for t in getattr(item, "targets", ()) if isinstance(t, ast.Name)]
+        if isinstance(item, ast.ImportFrom) and (ROOT / "tests" / f"{item.module}.py").is_file():
+            whole = ast.parse((ROOT / "tests" / f"{item.module}.py").read_text("utf-8"))
+            defined |= {alias.name: whole for alias in item.names}
+        defined |= dict.fromkeys([item.name] if hasattr(item, "name") else names, item)
+    functions = [item for name, item in defined.items() if name.startswith("test_")]
+    return [item.name for item in functions if not rest or _may_match(item, path, defined, rest[1])]
+
+
+def _may_match(test: ast.FunctionDef, path: str, defined: dict[str, ast.AST], words: str) -> bool:
+    waiting = [*test.decorator_list, *(defined[a.arg] for a in test.args.args if a.arg in defined)]
+    ids, seen = "", set()
+    while waiting:
+        ids += ast.unparse(part := waiting.pop()).lower()
+        names = {node.id for node in ast.walk(part) if isinstance(node, ast.Name)} & set(defined) - seen
+        waiting, seen = waiting + [defined[name] for name in names], seen | names
+    sure = f"{test.name} {path}".lower()
+    asked = set(re.findall(r"[\w.-]+", words.lower())) - {"and", "or", "not"}
+    some = [word for word in asked if word not in sure and word in ids]  # of one case, maybe not of another
+    choices = itertools.product((True, False), repeat=len(some))
+    found = ({word: word in sure for word in asked} | dict(zip(some, c)) for c in choices)
+    return any(Expression.compile(words).evaluate(lambda word, of=of, **_: of[word.lower()]) for of in found)
+
+
+def test_words_that_select_no_test_are_found():
+    """Of this file: part of a name, capitals, not, two words, and words of no test."""
+    here, name = "tests/test_mutants.py", test_every_package_has_its_mutants.__name__
+    assert len(selected(here)) >= 6 and selected(f"{here} -k every_package") == [name]
+    assert selected(f"{here} -k 'EVERY_package and not expression'") == [name]
+    assert len(selected(f"{here} -k 'every_package or last_score'")) == 2
+    assert selected(f"{here} -k every_packages") == selected(f"{here} -k 'every_package and score'") == []
 
 
 def test_a_mutant_changes_its_expression_and_nothing_else(tmp_path):

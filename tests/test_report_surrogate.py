@@ -12,14 +12,15 @@ import rvjax
 from rvjax import tolerances
 from rvjax.commands.allocate.forecast import SHOWN_VALUES
 from rvjax.commands.report import region, surrogate
+from rvjax.response import solving
 from rvjax.response.response import BLOCK
 
 UNITS = 2 * BLOCK
 
 
-def made(response, upper):
+def made(response, upper, **others):
     """What `surrogate` reads of an answer, for a response that knows no gear."""
-    required = {"y": tolerances.Requirement(upper=upper)}
+    required = {name: tolerances.Requirement(upper=limit) for name, limit in ({"y": upper} | others).items()}
     options = dict(requirements=required, chunk=BLOCK)
     certificate = tolerances.monte_carlo(response, FIELDS, samples=4 * BLOCK, seed=1, **options)
     kept = tolerances.monte_carlo(response, FIELDS, samples=UNITS, seed=2, keep=True, **options)
@@ -174,6 +175,22 @@ def test_a_costly_linear_response_is_met_by_the_derivatives_alone():
     values = direct(found, linear)
     np.testing.assert_allclose(found.values("y", X), values, atol=1e-9 * np.abs(values).max())
     assert found.error("yield") < 1e-6 and found.error("mean") < 1e-6 and len(found.checks) == FEW["points"]
+
+
+def test_costly_units_are_solved_once_for_all_outputs(monkeypatch):
+    """At x = 0 and at three places for the surrogate of two outputs, and some of them at each point of the checks."""
+    solved, solve = [], solving.solve
+    monkeypatch.setattr(solving, "solve", lambda r, p, count, e: solved.append(count) or solve(r, p, count, e))
+    both = lambda errors: costly_bent(errors) | {"z": linear(errors)["y"]}  # noqa: E731
+    both.costly = True
+    given = made(both, 6.0, z=14e-6)
+    solved.clear()
+    found = surrogate.surrogate(given, **FEW)
+    assert solved == [region.COSTLY_UNITS] * (2 + region.PLACES) + [surrogate.COMPARED] * FEW["points"]
+    alone = surrogate.surrogate(made(costly_linear, 14e-6), **FEW)
+    for k, parameter in enumerate(found.parameters):
+        if parameter.place:  # the derivatives of two outputs stay apart
+            assert found.columns["z"][k,].mean() == pytest.approx(alone.columns["y"][k,].mean(), rel=1e-6)
 
 
 def test_bends_that_all_units_share_are_found_at_random_places():

@@ -79,6 +79,24 @@ def test_prose_in_a_table_is_broken_into_lines():
     assert lines[-1].split() == ["y", "short", "2"] and table.text().split("\n")[2].split("  ")[-1] == "1"
 
 
+@given(tables(), st.integers(20, 120))
+def test_text_below_each_row_is_broken_and_stays_below_it(table, width):
+    """In the last block of columns; a table that fits is as it was, with a line more for each row."""
+    titles, rows = table
+    under = [f"    {'some words '}{k} of row{k}" for k in range(len(rows))]
+    made = Table("t", [Text(title) for title in titles], rows, under=under)
+    plain = aligned(titles, rows).split("\n")
+    assert made.text().split("\n") == plain[:2] + [line for pair in zip(plain[2:], under) for line in pair]
+    *_, last = made.text(width).split("\n\n")
+    rest = last.split("\n")[2:]
+    for k, row in enumerate(rows):
+        assert row[0] == rest[0].split()[0] and all(f"row{j}" not in rest[0] for j in range(len(rows)))
+        words = " ".join(" ".join(rest[1:]).split())
+        assert words.startswith(f"some words {k} of row{k}")
+        rest = rest[1 + next(n for n, line in enumerate(rest[1:], 1) if line.endswith(f"row{k}")) :]
+    assert not rest and all(len(line) <= width for line in last.split("\n") if line.startswith("    some"))
+
+
 @given(st.lists(st.lists(WORDS, max_size=30).map(" ".join), max_size=4), st.integers(20, 90))
 def test_paragraphs_keep_their_words(lines, width):
     for fit in (wrapped, refilled):

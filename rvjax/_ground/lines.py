@@ -6,6 +6,11 @@ import sys
 import textwrap
 
 
+def words(name: str) -> str:
+    """A field name as words: crank_eccentricity -> crank eccentricity."""
+    return name.replace("_", " ")
+
+
 def terminal_width() -> int | None:
     """Characters of a line of standard output; None where it is a file or a pipe, whose lines have no limit."""
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else None

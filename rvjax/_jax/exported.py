@@ -207,8 +207,8 @@ def _setting() -> tuple[object, ...]:
 
 @functools.cache
 def _source() -> str:
-    """Digest of the source of rvjax."""
-    folder = Path(__file__).parent
+    """Digest of the source of rvjax, all packages: any of them may be part of a program."""
+    folder = Path(__file__).parents[1]
     digest = hashlib.sha256()
     for path in sorted(folder.rglob("*.py")):
         digest.update(f"{path.relative_to(folder)}\0".encode() + path.read_bytes())

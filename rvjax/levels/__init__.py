@@ -3,7 +3,16 @@
 from rvjax.levels.choice import Choice, as_given, choose
 from rvjax.levels.equilibria import seconds, sources_of
 from rvjax.levels.measure import measure, measure_model, measured
-from rvjax.levels.table import Level as Level, Model as Model, Table, advice, report, stored
+from rvjax.levels.table import (
+    Level as Level,
+    Model as Model,
+    Table,
+    advice,
+    blocks as blocks,
+    measured_on as measured_on,
+    report,
+    stored,
+)
 
 __all__ = [
     "Table",

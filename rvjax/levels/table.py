@@ -15,7 +15,7 @@ from functools import cache
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -234,11 +234,39 @@ def _lists(errors: dict[str, list[float | None]]) -> dict[str, list[float]]:
 STEP = 5.0  # a level is mentioned if it is this many times as accurate as the last mentioned level
 
 
+class Block(NamedTuple):
+    """Text on one model."""
+
+    head: str
+    titles: tuple[str, ...]
+    rows: list[list[str]]  # a level each
+    foot: str  # advice
+
+
+_WIDTHS = (44, 9, 9, 10, 9, 10, 7)
+
+
 def report(table: Table) -> str:
     """Text of all levels of all models, each model with its advice."""
-    blocks = [_model(model) for model in table.models.values()]
+    texts = []
+    for block in blocks(table):
+        lines = [
+            " ".join([f"{row[0]:{_WIDTHS[0]}s}", *(f"{cell:>{width}s}" for cell, width in zip(row[1:], _WIDTHS[1:]))])
+            for row in (block.titles, *block.rows)
+        ]
+        texts.append("\n".join([block.head, *lines, block.foot]))
+    return "\n\n".join([*texts, measured_on(table)])
+
+
+def blocks(table: Table) -> list[Block]:
+    """Levels and advice of each model."""
+    return [_block(model) for model in table.models.values()]
+
+
+def measured_on(table: Table) -> str:
+    """Computer and seed of a table."""
     facts = ", ".join(f"{key} {value}" for key, value in table.machine.items() if value not in ("", []))
-    return "\n\n".join([*blocks, f"Measured on {facts}; seed {table.seed}."])
+    return f"Measured on {facts}; seed {table.seed}."
 
 
 def advice(model: Model) -> str:
@@ -261,28 +289,26 @@ def worth_a_mention(model: Model) -> list[Level]:
     return [*mentioned, exact]
 
 
-def _model(model: Model) -> str:
+def _block(model: Model) -> Block:
     first = next(iter(model.outputs))
     unit, unit_size = _shown(model.outputs[first])
     failed = f"; {model.failed[0]} of {model.failed[1]} cases without a reference excluded" if model.failed[0] else ""
     size = min(model.sizes, key=lambda s: abs(s - 1))
-    lines = [
+    head = [
         f"{model.name}: {first} per {model.case}",
         f"error against {model.reference}, at {size:g} x the errors, relative to the rms of the output{failed}",
-        f"{'level':44s} {'largest':>9s} {'rms':>9s} {unit:>10s} {'time':>9s} {'compile s':>10s} {'MB':>7s}",
     ]
-    front = model.front()
+    front, rows = model.front(), []
     for level in sorted(model.levels, key=lambda level: level.ns):
-        k = model.sizes.index(size)
-        shown = level.largest[first][k] / unit_size
-        lines.append(
-            f"{'*' if level in front else ' '} {level.name:42s} {model.relative(level):9.2g} "
-            f"{model.relative(level, 'rms'):9.2g} {shown:10.2g} {_time(level.ns):>9s} {level.compile_s:10.1f} "
-            f"{level.memory_MB:7.1f}"
-        )
-    about = [f"{model.drawn} cases of each error size"] if model.drawn else []
+        shown = level.largest[first][model.sizes.index(size)] / unit_size
+        errors = [f"{x:.2g}" for x in (model.relative(level), model.relative(level, "rms"), shown)]
+        spent = [_time(level.ns), f"{level.compile_s:.1f}", f"{level.memory_MB:.1f}"]
+        rows.append([f"{'*' if level in front else ' '} {level.name}", *errors, *spent])
+    foot, about = [advice(model)], [f"{model.drawn} cases of each error size"] if model.drawn else []
     about += [f"on {model.machine['processor']}, {model.machine['cores']} cores"] if model.machine else []
-    return "\n".join([*lines, advice(model), *([", ".join(about) + "."] if about else [])])
+    titles = ("level", "largest", "rms", unit, "time", "compile s", "MB")
+    foot += [", ".join(about) + "."] if about else []
+    return Block("\n".join(head), titles, rows, "\n".join(foot))
 
 
 def _error(model: Model, level: Level) -> str:

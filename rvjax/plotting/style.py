@@ -10,6 +10,7 @@ import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
 
+from rvjax._ground.lines import words as words
 from rvjax.records import Array
 
 Numbers = Array | np.ndarray | Sequence[float]
@@ -49,11 +50,6 @@ def style() -> Iterator[None]:
 def use_style() -> None:
     """Set the style for all further plots, of a size that keeps notebooks small."""
     plt.rcParams.update(_STYLE | {"figure.dpi": 100})
-
-
-def words(name: str) -> str:
-    """A field name as words: crank_eccentricity -> crank eccentricity."""
-    return name.replace("_", " ")
 
 
 def new_axes(axes: Axes | None = None, size: tuple[float, float] = (7, 4.2)) -> Axes:

@@ -1,8 +1,11 @@
 """Plots of a report, rendered when they are written: PNG for a folder, SVG for a page."""
 
 import io
+import threading
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from rvjax.render.quantity import micro
@@ -10,6 +13,9 @@ from rvjax.render.quantity import micro
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Drawn, SubFigure
+
+_threads = ThreadPoolExecutor(1, "draw")
+_style = threading.Lock()  # Matplotlib has one style for all threads
 
 
 @dataclass(frozen=True)
@@ -26,17 +32,33 @@ class Figure:
     caption: str
     draw: "Callable[[], Axes]"
 
+    @cached_property
+    def _begun(self) -> dict[str, Future[bytes]]:
+        return {}
+
+    def begin(self, form: str) -> None:
+        """Draw it in another thread while the caller computes; `content` waits for it.
+
+        Args:
+            form: as in `content`.
+        """
+        self._begun[form] = _threads.submit(self._rendered, form)
+
     def content(self, form: str = "png") -> bytes:
         """The content of its file, in the one style of all plots; units are spelled as on the page.
 
         Args:
             form: "png" or "svg".
         """
+        begun = self._begun.get(form)
+        return self._rendered(form) if begun is None else begun.result()
+
+    def _rendered(self, form: str) -> bytes:
         from matplotlib.text import Text
 
         from rvjax import plotting
 
-        with plotting.style():
+        with _style, plotting.style():
             figure = self.draw().figure
             for text in figure.findobj(Text):
                 assert isinstance(text, Text)

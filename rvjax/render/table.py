@@ -170,6 +170,7 @@ class Table:
         note: lines below it, "" for none.
         on: where the table is shown.
         total: the last row is a sum.
+        under: text below each row on the terminal; none where there is no such text.
     """
 
     name: str
@@ -179,6 +180,7 @@ class Table:
     note: str = ""
     on: frozenset[str] = EVERYWHERE
     total: bool = False
+    under: Sequence[str] = ()
 
     def shown(self, on: str) -> list[tuple[int, Column]]:
         """Place and description of the columns that are shown there."""
@@ -201,7 +203,7 @@ class Table:
         Args:
             width: characters of a line; None: as wide as it is.
         """
-        drawn = aligned(*self.texts(), width, [column for _, column in self.shown(TEXT)])
+        drawn = aligned(*self.texts(), width, [column for _, column in self.shown(TEXT)], self.under)
         return "\n".join(filter(None, [wrapped(self.caption, width), drawn, wrapped(self.note, width)]))
 
     def csv(self) -> bytes:
@@ -210,7 +212,11 @@ class Table:
 
 
 def aligned(
-    headers: Sequence[str], rows: Iterable[Sequence[str]], width: int | None = None, columns: Sequence[Column] = ()
+    headers: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    width: int | None = None,
+    columns: Sequence[Column] = (),
+    under: Sequence[str] = (),
 ) -> str:
     """A plain text table: the first column left aligned, the others right aligned.
 
@@ -222,12 +228,13 @@ def aligned(
         rows: cells.
         width: characters of a line; None: as wide as it is.
         columns: what is known of each column; none where no cell may be broken into lines.
+        under: text below each row, in the last block of columns.
     """
     texts = [list(column) for column in zip(headers, *rows, strict=True)]
     full = [max(map(len, column)) for column in texts]
-    left = [k == 0 for k in range(len(texts))]
+    left, under = [k == 0 for k in range(len(texts))], [wrapped(text, width) for text in under]
     if width is None or _total(full) <= width:
-        return "\n".join(_drawn(texts, full, left))
+        return "\n".join(_drawn(texts, full, left, under))
     about = columns or [Text(title) for title in headers]
     left = [k == 0 or column.wraps for k, column in enumerate(about)]
     least = [_least(column, one.narrow) for column, one in zip(texts, about)]
@@ -242,7 +249,8 @@ def aligned(
             rest = width - _total([least[j] for j in block])
             if about[k].narrow and rest > 0:
                 least[k] = min(full[k], least[k] + rest)
-        lines = _drawn([texts[k] for k in block], [least[k] for k in block], [left[k] for k in block])
+        below = under if block is blocks[-1] else ()
+        lines = _drawn([texts[k] for k in block], [least[k] for k in block], [left[k] for k in block], below)
         drawn.append("\n".join(map(str.rstrip, lines)))
     return "\n\n".join(drawn)
 
@@ -276,7 +284,9 @@ def _total(widths: Sequence[int]) -> int:
     return sum(widths) + len(GAP) * (len(widths) - 1)
 
 
-def _drawn(texts: Sequence[Sequence[str]], widths: Sequence[int], left: Sequence[bool]) -> list[str]:
+def _drawn(
+    texts: Sequence[Sequence[str]], widths: Sequence[int], left: Sequence[bool], under: Sequence[str]
+) -> list[str]:
     """Lines of a block of columns; a title or cell that is too long has several."""
     lines: list[str] = []
     for place, row in enumerate(zip(*texts, strict=True)):
@@ -290,6 +300,8 @@ def _drawn(texts: Sequence[Sequence[str]], widths: Sequence[int], left: Sequence
         lines += [GAP.join(line) for line in zip(*filled, strict=True)]
         if place == 0:
             lines.append("-" * len(lines[0]))
+        elif under:
+            lines.append(under[place - 1])
     return lines
 
 

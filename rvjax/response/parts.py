@@ -50,14 +50,27 @@ class Part:
         errors = np.concatenate([np.asarray(own(lanes)) for lanes in chunks(z.shape[1], PULLED)], axis=1)[
             :, : z.shape[1]
         ]
+        return self.slopes_of_elements(population, errors, state, cotangents)
+
+    def slopes_of_elements(
+        self, population: Population, errors: np.ndarray, state: np.ndarray, cotangents: np.ndarray
+    ) -> np.ndarray:
+        """The same of units with errors (elements, n).
+
+        Args:
+            population: of the units.
+            errors: of the units.
+            state: of these units, by `of_elements`.
+            cotangents: weights (k, n) of the values.
+        """
         if not is_costly(self.response):
             return gradients(self.response, population, errors, cotangents, self.names)[1]
         return pulls(self.response, population, errors, state, cotangents)
 
-    def of_elements(self, population: Population, errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Values (k, n) by `names`, nan where a unit failed, and status (n,), of units with errors (elements, n)."""
-        values, status, _ = self._of(population, errors.shape[1], lambda lanes: jnp.asarray(errors[:, lanes]))
-        return np.where(succeeded(np.asarray(status)), values, np.nan), status
+    def of_elements(self, population: Population, errors: np.ndarray) -> Solution:
+        """Values (k, n) by `names`, nan where a unit failed, status and state, of units with errors (elements, n)."""
+        values, status, state = self._of(population, errors.shape[1], lambda lanes: jnp.asarray(errors[:, lanes]))
+        return np.where(succeeded(np.asarray(status)), values, np.nan), status, state
 
     def rows(self, population: Population, z: np.ndarray, name: str) -> np.ndarray:
         """Numbers name[0], name[1] ... (n, numbers) among the values of units with random numbers z (numbers, n)."""

@@ -24,6 +24,7 @@ from rvjax.commands.cells import (
     limit_text,
     limits_data,
     limits_of,
+    met_text,
     price_text,
     share,
     slope_text,
@@ -273,13 +274,14 @@ class _Price(Column):
 
 @dataclass(frozen=True)
 class _Met(Text):
-    """Column for a met requirement: 1 or 0 in a file."""
+    """Column for a met requirement, cells are by `met_text`: 1 or 0 in a file."""
 
-    def _said(self, cell: Cell) -> str:
-        return "✔ met" if cell else "✘ not met"
+    def text(self, cell: Cell) -> str:
+        """The text with its sign."""
+        return f"{'✔' if cell == 'met' else '✘'} {cell}"
 
     def _given(self, cell: Cell) -> list[Value]:
-        return [int(cell)]
+        return [int(cell == "met")]
 
 
 def requirement_table(answer: Answer) -> Table:
@@ -308,6 +310,7 @@ def requirement_table(answer: Answer) -> Table:
         cells = [evaluated(verdict, output) for verdict in verdicts]
         figure_unit = output.shown[0] if verdicts[0].kind == "response" else "-"
         goal = getattr(requirement, requirement.goal) if requirement.goal else None
+        met = met_text(requirement, verdicts[1], allocation.certificate.samples)
         row: list[Cell] = [
             Titled(name, output.meaning),
             output.shown[0],
@@ -315,9 +318,9 @@ def requirement_table(answer: Answer) -> Table:
             requirement.text(),
             goal,
         ]
-        row += [requirement.text(), figure_unit, *cells, verdicts[1].met, (allocation.multipliers[name], output)]
+        row += [requirement.text(), figure_unit, *cells, met, (allocation.multipliers[name], output)]
         row += [evaluated(graded.certificate.verdicts[name], output)] if graded else []
-        rows.append([*row, verdicts[1].met])
+        rows.append([*row, met])
     return Table("requirements", columns, rows, note=price_text(study, allocation.multipliers))
 
 

@@ -7,11 +7,11 @@ import jax
 import jax.numpy as jnp
 from markupsafe import Markup
 
+from rvjax._ground.lines import words
 from rvjax.commands.cells import limit_text
 from rvjax.commands.design.compute import Designed
 from rvjax.commands.design.prices import nominal_limit, unit_of_number
 from rvjax.commands.report import cost_data, script_of
-from rvjax.plotting import words
 from rvjax.render import Block
 from rvjax.study import Study, number_at, stated_by
 from rvjax.units import mm, readable

@@ -3,12 +3,17 @@
 from dataclasses import dataclass
 
 from rvjax._ground import progress
-from rvjax.commands.allocate import Answer, answer, phases_of
+from rvjax.commands.allocate import Answer, answer, figures, phases_of
 from rvjax.commands.budget import Budget, budget_if_any
 from rvjax.commands.report import surrogate as behind
+from rvjax.commands.report.bearings import bearing_section
 from rvjax.commands.report.inputs import Inputs
-from rvjax.commands.report.lives import Lives, lives_if_any
+from rvjax.commands.report.lives import begin_lives, lives_if_any
+from rvjax.commands.report.reducer import design_section
 from rvjax.commands.speak import READING
+from rvjax.population import Population
+from rvjax.render import Content, Figure, Report, Section
+from rvjax.response import begin_programs, is_costly
 
 SLIDERS, WRITING = "numbers behind the sliders", "the page"
 
@@ -21,13 +26,17 @@ class Shown:
         answer: result of the study.
         surrogate: behind the sliders, None where nothing can move.
         budget: of the allocated tolerances, None where the study has none.
-        lives: of the bearings with the allocated tolerances, None where the study requires none.
+        bearings: on their lives with the allocated tolerances, None where the study requires none.
+        design: on the reducer, None: made with the page.
+        drawn: figures of the result, none: made with the page.
     """
 
     answer: Answer
     surrogate: behind.Surrogate | None = None
     budget: Budget | None = None
-    lives: Lives | None = None
+    bearings: Section | None = None
+    design: Section | None = None
+    drawn: tuple[Figure, ...] = ()
 
 
 def phases(inputs: Inputs) -> dict[str, float]:
@@ -40,7 +49,7 @@ def phases(inputs: Inputs) -> dict[str, float]:
         return {}
     if inputs.answer is None:
         return phases_of(inputs.study, READING, SLIDERS, WRITING)
-    return {READING: 6.0, SLIDERS: 10.0, WRITING: 10.0}
+    return {READING: 1.0, SLIDERS: 10.0, WRITING: 1.0}
 
 
 def compute(inputs: Inputs) -> Shown | None:
@@ -49,8 +58,23 @@ def compute(inputs: Inputs) -> Shown | None:
         return None
     found = inputs.answer or answer.answer(inputs.study, progress=not inputs.quiet)
     progress.begin(SLIDERS)
+    response = found.study.response()
+    if inputs.answer is not None and is_costly(response):  # else this process has the programs
+        begin_programs(response, Population.of(found.after.tolerances), slopes=True)
+    begin_lives(inputs.study, found.allocation.tolerances)
+    design, drawn = design_section(found.study), tuple(figures(found))
+    _begin((design, *drawn))
+    lives = lives_if_any(inputs.study, found.allocation.tolerances)
+    bearings = bearing_section(lives, inputs.study) if lives else None
+    _begin((bearings,) if bearings else ())
     moved = behind.surrogate(found)
     budget = budget_if_any(inputs.study, found.allocation.tolerances)
-    lives = lives_if_any(inputs.study, found.allocation.tolerances)
     progress.begin(WRITING)
-    return Shown(found, moved, budget, lives)
+    return Shown(found, moved, budget, bearings, design, drawn)
+
+
+def _begin(content: tuple[Content, ...]) -> None:
+    """Draw the figures of the page while the rest is computed."""
+    for part in Report("", content).parts():
+        if isinstance(part, Figure):
+            part.begin("svg")

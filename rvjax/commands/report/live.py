@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from rvjax._ground.lines import words
 from rvjax.commands.allocate import Answer
 from rvjax.commands.report.surrogate import COMPARED, Surrogate, grows_from_lower, placed
-from rvjax.plotting import words
 from rvjax.render import Block, micro
 from rvjax.study import stated_by, study_template
 from rvjax.tolerances import Cost, CpkAtLeast, Exponential, Limits, MeanWithin, ReciprocalPower, Requirement, SdAtMost

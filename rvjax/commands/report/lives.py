@@ -1,6 +1,8 @@
 """Bearing lives of the units of a result: which bearing fails first, by which load, error and phase of the duty."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,10 +12,12 @@ from numpy.typing import NDArray
 from rvjax import life
 from rvjax.designs import RVReducer
 from rvjax.population import Population, drawn, root_key
-from rvjax.records import PyTree
+from rvjax.records import PyTree, Record, field, record, text
+from rvjax.response import per_response
 from rvjax.study import Study
 
 UNITS = 128
+TURNED = 32  # of them, through a whole revolution of the output
 LOW = 0.05  # share of the units: fewer are too few of so many
 TORQUES = (0.5, 0.7, 1.0, 1.4, 2.0)  # times the largest of the duty
 LIVES = ("life", "arm_bearing_life")
@@ -73,6 +77,77 @@ class Lives:
         return int(np.argmax(np.where(arms, self.first, -1)))
 
 
+@record
+class _Rated(Record):
+    """Lives of the crank bearings of one unit under a duty."""
+
+    design: RVReducer = field("-", "the reducer", kind="record")
+    ways: tuple[tuple[str, Any], ...] = text("arguments of the rating")
+
+    def __call__(self, errors: PyTree, duty: PyTree) -> PyTree:
+        return life.rating(errors.stiffened(self.design), errors, duty, **dict(self.ways))
+
+
+@record
+class _Turned(Record):
+    """Orders (discs, cranks, orders) of the forces of one unit under a torque, N."""
+
+    design: RVReducer = field("-", "the reducer", kind="record")
+    ways: tuple[tuple[str, Any], ...] = text("arguments of the orders")
+
+    def __call__(self, errors: PyTree, torque: PyTree) -> PyTree:
+        design = errors.stiffened(self.design)
+        return life.force_orders(design, errors, output_torque=torque, **dict(self.ways)).amplitude
+
+
+@per_response()
+def _of_units(unit: Callable[[PyTree, PyTree], PyTree], population: Population, z: jax.Array, load: PyTree) -> PyTree:
+    """Lives or orders of the units with random numbers z (numbers, units)."""
+    return jax.vmap(lambda z: unit(population.errors(z), load), in_axes=-1)(z)
+
+
+class _Question(NamedTuple):
+    """Arguments of the programs for one study."""
+
+    rated: _Rated
+    turned: _Turned
+    population: Population
+    duty: life.Duty
+    torque: float  # the largest of the duty, N m
+
+    @staticmethod
+    def of(study: Study, tolerances: PyTree) -> "_Question | None":
+        """None where the study requires no life."""
+        if not isinstance(study.design, RVReducer) or not any(name in study.requirements for name in LIVES):
+            return None
+        given = study.conditions
+        supports = dict(contact=given.pin_contact, carrier=given.carrier, sun=given.sun)
+        samples = given.life_samples or given.samples
+        ways = dict(samples=samples, method=given.life_method, reliability=given.reliability) | supports
+        orders = dict(samples=8 * study.design.cycloid.pin_count) | supports
+        return _Question(
+            _Rated(study.design, tuple(ways.items())),
+            _Turned(study.design, tuple(orders.items())),
+            Population.of(tolerances),
+            duty := life.Duty(*np.asarray(given.duty, float).T),
+            float(np.max(np.abs(duty.output_torque))),
+        )
+
+
+def begin_lives(study: Study, tolerances: PyTree) -> None:
+    """Begin the programs of `lives_if_any`, see `Compiled.begin`.
+
+    Args:
+        study: as there.
+        tolerances: as there.
+    """
+    if (asked := _Question.of(study, tolerances)) is not None:
+        rated, turned, population, duty, torque = asked
+        none = np.full((population.numbers, UNITS + 1), np.nan)  # units that the model does not solve
+        _of_units.begin(rated, population, none, duty)
+        _of_units.begin(turned, population, none[:, : TURNED + 1], torque)
+
+
 def lives_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> Lives | None:
     """The bearing lives of a study that requires one; None for another study.
 
@@ -84,42 +159,21 @@ def lives_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> Liv
     Raises:
         ValueError: no unit has a life.
     """
-    if not isinstance(study.design, RVReducer) or not any(name in study.requirements for name in LIVES):
+    if (asked := _Question.of(study, tolerances)) is None:
         return None
-    given, population = study.conditions, Population.of(tolerances)
-    duty = life.Duty(*np.asarray(given.duty, float).T)
-    supports = dict(contact=given.pin_contact, carrier=given.carrier, sun=given.sun)
-    ways = dict(samples=given.life_samples or given.samples, method=given.life_method, reliability=given.reliability)
-    ways |= supports
-    pins, torque = study.design.cycloid.pin_count, float(np.max(np.abs(duty.output_torque)))
-
-    @jax.jit
-    def rate(z: jax.Array, duty: life.Duty) -> life.Rating:
-        def one(z: jax.Array) -> life.Rating:
-            errors = population.errors(z)
-            return life.rating(errors.stiffened(study.design), errors, duty, **ways)
-
-        return jax.vmap(one, in_axes=-1)(z)
-
-    @jax.jit
-    def turn(z: jax.Array) -> jax.Array:
-        def one(z: jax.Array) -> jax.Array:
-            errors = population.errors(z)
-            design = errors.stiffened(study.design)
-            return life.force_orders(design, errors, output_torque=torque, samples=8 * pins, **supports).amplitude
-
-        return jax.vmap(one, in_axes=-1)(z)
+    unit, turned, population, duty, torque = asked
+    given, pins = study.conditions, unit.design.cycloid.pin_count
 
     # The first unit has every error at the centre of its limits; the others are random.
     z = np.asarray(drawn(population, root_key(study.seed + 3), jnp.uint32(0), count=units + 1)).copy()
     z[:, 0] = 0
-    rated = jax.device_get(rate(z, duty))
+    rated = jax.device_get(_of_units(unit, population, z, duty))
     fine = np.isfinite(rated.life) & (np.arange(units + 1) > 0)
     if not fine.any():
         raise ValueError(f"study {study.name}: none of {units} units has a bearing life")
 
     def lives(z: PyTree, duty: life.Duty) -> Values:
-        return np.asarray(rate(z, duty).life)
+        return np.asarray(_of_units(unit, population, z, duty).life)
 
     def gain(z: PyTree) -> tuple[float, float]:
         changed = lives(z, duty)[fine]
@@ -134,11 +188,12 @@ def lives_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> Liv
         curve.append([found[0], *np.nanquantile(found[fine], (LOW, 0.5, 1 - LOW))])
     share = _flat(first.arm, first.support)[fine].mean(axis=0)
     discs, cranks = rated.arm.shape[1:]
-    wave = np.abs(np.asarray(turn(z[:, : min(units, 32) + 1]))).reshape(-1, discs * cranks, 8 * pins)
+    waves = _of_units(turned, population, z[:, : min(units, TURNED) + 1], torque)
+    wave = np.abs(np.asarray(waves)).reshape(-1, discs * cranks, 8 * pins)
     wave = wave[:, int(np.argmax(share[: discs * cranks]))]
     return Lives(
         method=given.life_method,
-        samples=ways["samples"],
+        samples=dict(unit.ways)["samples"],
         reliability=given.reliability,
         life=rated.life[fine],
         failed=int(units - fine.sum()),

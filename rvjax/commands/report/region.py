@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.population import Population, Tolerance
-from rvjax.response import BLOCK, Part, elements, gradients, is_costly, respond
+from rvjax.response import BLOCK, Part, elements, is_costly, respond
 
 COSTLY_UNITS = 768  # three calls of the gradients' program
 PLACES = 2  # random ones of each unit
@@ -56,17 +56,16 @@ def regressed(
 
     here = errors_at(np.zeros(count))
     rates = np.stack([(errors_at(row) - errors_at(-row)) / 2 for row in np.eye(count)])
-    base, _ = part.of_elements(population, here)
+    base, _, state = part.of_elements(population, here)
     places = [rng.uniform(-1, 1, (count, units)) for _ in range(PLACES)] + [np.outer(width, rng.uniform(-1, 1, units))]
     seen = []
     for x in places:
-        values, _ = part.of_elements(population, here + np.einsum("ku,keu->eu", x, rates))
-        seen.append(values)
+        seen.append(part.of_elements(population, here + np.einsum("ku,keu->eu", x, rates))[0])
     values_by_name, columns = {}, {}
     for number, name in enumerate(part.names):
         weights = np.zeros((len(part.names), units))
         weights[number] = 1.0
-        slopes = gradients(part.response, population, here, weights, part.names)[1]
+        slopes = part.slopes_of_elements(population, here, state, weights)
         rise = np.nan_to_num(np.einsum("keu,eu->ku", rates, slopes), posinf=0.0, neginf=0.0)
         rest = [row[number] - base[number] for row in seen]
         values_by_name[name] = base[number]
@@ -129,6 +128,8 @@ class Region:
         """Tolerances of the fields that move, x in reaches."""
         made: dict[str, Tolerance] = {}
         for p, step in zip(self.parameters, map(float, x)):
+            if not step:
+                continue
             tolerance = made.get(p.field, self.population.active[p.field])
             if p.place:
                 way = step * p.reach

@@ -7,8 +7,8 @@ import dataclasses
 import shlex
 import time
 
-import rvjax
-from rvjax import catalogue, levels, models
+from rvjax import levels, models
+from rvjax._ground.lines import words
 from rvjax.commands.allocate import (
     FILE,
     Answer,
@@ -27,15 +27,12 @@ from rvjax.commands.allocate import (
 from rvjax.commands.budget import section_on
 from rvjax.commands.cells import condition_text, share
 from rvjax.commands.report import live
-from rvjax.commands.report.bearings import bearing_section
 from rvjax.commands.report.compute import Shown
 from rvjax.commands.report.inputs import Inputs, mark
+from rvjax.commands.report.reducer import design_section
 from rvjax.commands.report.worst_units import SHARE_SHOWN, rows_of, worst_units
-from rvjax.designs import RVReducer
-from rvjax.records import PyTree
 from rvjax.render import (
     Block,
-    Cell,
     Column,
     Content,
     Figure,
@@ -49,7 +46,6 @@ from rvjax.render import (
     leading_comment,
 )
 from rvjax.status import MEANING, Status
-from rvjax.study import Study, facts_of, shown
 from rvjax.tolerances import Estimate
 
 
@@ -88,15 +84,15 @@ def page_of(found: Shown, source: str, *, date: str = "") -> str:
         source: of the study, as named.
         date: of the result.
     """
-    answer, drawn = found.answer, {figure.name: figure for figure in figures(found.answer)}
-    study = answer.study
+    answer, study = found.answer, found.answer.study
+    drawn = {figure.name: figure for figure in found.drawn or figures(answer)}
     unlimited = unlimited_tables(answer.unlimited, answer.study)
     result = Section("Result", (requirement_table(answer), *unlimited, *tolerance_tables(answer)))
     sections: list[Content] = [result, _requirements(answer, drawn), _tolerances(drawn)]
     sections += [live.block(found.surrogate, answer)] if found.surrogate else []
-    sections += [design_section(study), _influence(answer, drawn)]
+    sections += [found.design or design_section(study), _influence(answer, drawn)]
     sections += [section_on(found.budget)] if found.budget else []
-    sections += [bearing_section(found.lives, study)] if found.lives else []
+    sections += [found.bearings] if found.bearings else []
     sections += [_worst(answer, drawn), _levels(answer)]
     about = dict(study=study.name, author=study.about.author, revision=study.about.revision, computed=date)
     certificate = answer.allocation.certificate
@@ -133,14 +129,10 @@ def _verdict(answer: Answer) -> str:
 
 def _shortfalls(answer: Answer) -> list[str]:
     lines = [
-        f"The limit of {_words(name)} {text}." for name, text in shortfalls(answer.study, answer.allocation).items()
+        f"The limit of {words(name)} {text}." for name, text in shortfalls(answer.study, answer.allocation).items()
     ]
     infeasible = "All columns “after” show the finest tolerances of the processes."
     return lines + ([] if answer.allocation.feasible else [infeasible])
-
-
-def _words(name: str) -> str:
-    return name.replace("_", " ")
 
 
 def _boxes(answer: Answer) -> list[tuple[str, str, str]]:
@@ -213,43 +205,6 @@ def _influence(answer: Answer, drawn: dict[str, Figure]) -> Section:
     return Section("Which error matters", (text, *influence_tables(answer), drawn["variance_shares"]))
 
 
-def design_section(study: Study) -> Section:
-    """Every number of the design and where it comes from, and a drawing to scale."""
-    rows: list[list[Cell]] = []
-    for one in study.numbers:
-        name = Titled(one.path.replace(".", " "), one.meaning)
-        rows.append([name, _value(one.value, one.unit), one.origin, "assumed" if one.assumed else ""])
-    rows += [[name, value, "follows from the numbers above", ""] for name, value in facts_of(study.design)]
-    parts: list[Note | Table | Figure] = []
-    if isinstance(study.design, RVReducer):
-        parts.append(Figure("design", _drawn(study.design), lambda: rvjax.plotting.drawings.reducer(study.design)))
-    if study.assumed:
-        parts.append(Note("Values marked assumed are not published: the result depends on them."))
-    if study.base:
-        parts.append(Note(f"{study.base} is {catalogue.citation(study.base)}"))
-    columns = [Text("number"), Text("value", wraps=True), Text("from", wraps=True), Text("note")]
-    listed = Table("design", columns, rows)
-    numbers = Section("", (listed,), fold=f"All {len(rows)} numbers of the design and their sources")
-    return Section("The reducer", (Section("", tuple(parts), style="reducer"), numbers))
-
-
-def _value(value: PyTree, unit: str) -> str:
-    """A number of a design with its unit; of an array the elements."""
-    if getattr(value, "shape", ()) or isinstance(value, list | tuple):
-        return ", ".join(_value(item, unit) for item in value)
-    return shown(value, unit) if unit != "-" else f"{float(value):.6g}"
-
-
-def _drawn(design: RVReducer) -> str:
-    cycloid = design.cycloid
-    return (
-        f"Second stage along its axis, to scale; diameters: {cycloid.pin_count} pins of "
-        f"{shown(2 * cycloid.pin_radius, 'm')} on a circle of {shown(2 * cycloid.pin_circle_radius, 'm')}, one of "
-        f"{cycloid.disc_count} discs, {design.cranks.count} cranks on a circle of "
-        f"{shown(2 * design.cranks.circle_radius, 'm')}"
-    )
-
-
 def _worst(answer: Answer, drawn: dict[str, Figure]) -> Section:
     text = (
         f"Of {shown_values(answer.study):,} sample units with the tolerances after (seed {answer.after.seed}). The bar "
@@ -277,7 +232,7 @@ def _levels(answer: Answer) -> Section:
     columns = [Text("response"), Text("level", wraps=True), *short, Text("why", wraps=True)]
     about = {f.name: f.metadata for f in dataclasses.fields(study.conditions)}
     conditions = ", ".join(
-        f"{_words(key)} = {condition_text(value, about[key])}"
+        f"{words(key)} = {condition_text(value, about[key])}"
         for key in models.kind(study.design).conditions_of(outputs)
         if (value := getattr(study.conditions, key)) is not None
     )

@@ -26,17 +26,13 @@ def report_on(rows: Sequence[Comparison], *, notes: bool = False) -> Report:
     """
     columns = [Text(t) for t in ("figure", "published", "computed", "unit", "physically right", "verdict")]
     cells = [[row.id, show(row.published), show(row.computed), row.unit, show(row.right), row.status] for row in rows]
-    table = Table("comparison", columns, cells)
-    lines = table.text().split("\n")
-    if notes:
-        under = [f"    {row.claim}" + (f" -- {row.note}" if row.note else "") for row in rows]
-        lines = lines[:2] + [line for pair in zip(lines[2:], under) for line in pair]
+    under = [f"    {row.claim}" + (f" -- {row.note}" if row.note else "") for row in rows] if notes else []
     verdicts = sorted({row.status for row in rows})
     counts = ", ".join(f"{sum(row.status == verdict for row in rows)} {verdict}" for verdict in verdicts)
     said = [f"{len(rows)} figures: {counts}", *_whose_error(rows)]
     return Report(
         title="Published values",
-        content=(Note("\n".join(lines)) if notes else table, Note("\n".join(said))),
+        content=(Table("comparison", columns, cells, under=under), Note("\n".join(said))),
         data=[row.as_json() for row in rows],
     )
 
