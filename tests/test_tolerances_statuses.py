@@ -14,10 +14,14 @@ from scipy import stats
 
 from oracles.linear_pair import COSTS, LIMIT, PAIR, above, closed_cost, linear, share
 from oracles.responses import Failing
+from rvjax.population import Population
 from rvjax.tolerances import Middle, Nominal, QuadraticLoss, ReciprocalPower, Requirement, Tolerance, Variable, allocate
 from rvjax.tolerances.optimum import designer, half_widths
 from rvjax.tolerances.optimum.certificate import Certifier
+from rvjax.tolerances.optimum.decisions import Decisions
+from rvjax.tolerances.optimum.ends import confirmed
 from rvjax.tolerances.optimum.found import status_of
+from rvjax.tolerances.optimum.margins import Margins
 from rvjax.tolerances.optimum.programme import End
 from rvjax.units import um
 
@@ -116,6 +120,24 @@ def test_a_bound_with_a_small_price_is_named():
     )  # fmt: skip
     assert found.status == "OPTIMAL" and found.values["x"] == 2.0 and found.bounds_active["x"] == "upper"
     assert found.value_prices["x"] == pytest.approx(-0.1, rel=1e-3)
+
+
+def test_an_end_is_confirmed_where_the_sample_moves_as_its_slopes_predict():
+    """Units beyond a b of 20 um fail, 0.27 % of all; at 1.1 times its half-width 0.66 %, of the 1 % that may be rejects."""
+
+    def ends(edge):
+        response = Failing({"a": 1.0, "b": 0.0}, {"a": 1.0, "b": edge})
+        population = Population.of({"a": Tolerance.symmetric(20 * um), "b": Tolerance.symmetric(20 * um)})
+        decisions = Decisions(population, COSTS, {}, {})
+        margins = Margins(response, decisions, {"": BOTH}, {}, None, 4096, 0)
+        x = decisions.vector(np.array([23.2 * um, 20 * um]), {})
+        margins.begin(x)
+        point = margins.look(x)
+        nothing = np.zeros(decisions.size)  # the residual is left out: prices account for all
+        point = dataclasses.replace(point, slopes=nothing)
+        return confirmed(margins, decisions, End(point, np.zeros(1), nothing, nothing, np.eye(2), True, 1))
+
+    assert ends(1.0) and not ends(20 * um)
 
 
 def worse(monkeypatch, **changes):
