@@ -99,7 +99,7 @@ class HalfWidths:
         for _ in range(DRAWS - 1):
             if certifier.holds(certificate) or certifier.hopeless():
                 break
-            told = training.correct(point, certifier.factors(certificate, training.distance))
+            told = training.correct(point, certifier.factors(certificate, training.distance), relax=False)
             point, _ = self.search.find(told, start)
             certificate = certifier.draw(training.with_half_widths(point.half_widths))
         return point.half_widths, certificate
