@@ -131,11 +131,10 @@ class Limits:
 
     def margin(self, value: Value) -> Value:
         """Distance of a value outside the nearer limit, negative inside; floats and arrays of any library."""
-        above, below = value - self.upper, self.lower - value
         if math.isinf(self.lower):
-            return above
+            return value - self.upper
         if math.isinf(self.upper):
-            return below
+            return self.lower - value
         middle, half = (self.lower + self.upper) / 2, (self.upper - self.lower) / 2
         return abs(value - middle) - half
 
