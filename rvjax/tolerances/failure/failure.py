@@ -215,13 +215,17 @@ class _Search:
         """Distance (n,) of units (numbers, n) within the rare event."""
         return self._distance(self.units.values(z)) * (1 if self.good_is_rare else -1)
 
-    def _elsewhere(self, z: np.ndarray) -> np.ndarray:
-        """Mark units of the rare event that is not around the origin."""
+    def _parted(self, z: np.ndarray, around: bool) -> np.ndarray:
+        """Mark units of the rare event that are connected to the origin on their rays, or those that are not."""
         found = self.differ(z)
         if found.any():
             own = z[:, found]
-            found[found] = ~np.all([self.differ(part * own) for part in _RAY], axis=0)
+            found[found] = np.all([self.differ(part * own) for part in _RAY], axis=0) == around
         return found
+
+    def _elsewhere(self, z: np.ndarray) -> np.ndarray:
+        """Mark units of the rare event but for a part of it around the origin."""
+        return self._parted(z, False) if self.around else self.differ(z)
 
     def counted(self, confidence: float) -> Estimate:
         """Share of the rare event among plain units."""
@@ -234,9 +238,10 @@ class _Search:
 
     def second(self, random: np.random.Generator) -> Sequential:
         """Subset simulation of the rare event; with its units the points and the proposal are found."""
-        away = self._elsewhere if self.around else self.differ
-        found = sequential(Spreads(away, OUTWARDS), self.numbers, random)
-        around = sequential(Spreads(self.differ, INWARDS), self.numbers, random) if self.around else None
+        found, around = sequential(Spreads(self._elsewhere, OUTWARDS), self.numbers, random), None
+        if self.around:
+            nearby = Spreads(lambda z: self._parted(z, True), INWARDS, self.differ)
+            around = sequential(nearby, self.numbers, random)
         self.explore(random, found.units)
         if around is not None and around.units.shape[1]:
             part = around.probability.value / (around.probability.value + found.probability.value)
@@ -270,8 +275,7 @@ class _Search:
                 self._take(state, found)
         for _ in range(_ROUNDS):
             drawn = self.mixture.sample(random, BATCH)
-            away = self._elsewhere if self.around else self.differ
-            pool = np.concatenate([differing, drawn[:, away(drawn)]], axis=1)
+            pool = np.concatenate([differing, drawn[:, self._elsewhere(drawn)]], axis=1)
             if not pool.shape[1]:
                 break
             weights = self.mixture.weights(pool)

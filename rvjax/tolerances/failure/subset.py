@@ -80,9 +80,15 @@ class Spreads:
 
     end = 1.0
 
-    def __init__(self, event: Event, tried: tuple[float, ...]) -> None:
-        """Event of units (numbers, n), and the spreads that are tried in turn."""
-        self.event, self.tried, self.shaped = event, tried, tried[0] < 1
+    def __init__(self, event: Event, tried: tuple[float, ...], wider: Event | None = None) -> None:
+        """Event of units (numbers, n), and the spreads that are tried in turn.
+
+        Args:
+            event: itself.
+            tried: spreads.
+            wider: event at all other spreads, if it costs less there.
+        """
+        self.event, self.tried, self.wider, self.shaped = event, tried, wider or event, tried[0] < 1
         self._ratio = 0.0  # of the last step inwards; 0 before it
 
     def begin(self, z: np.ndarray) -> tuple[float, np.ndarray]:
@@ -98,7 +104,7 @@ class Spreads:
 
     def within(self, z: np.ndarray, t: float) -> np.ndarray:
         """Mark the units whose z times the spread belongs to the event."""
-        return self.event(t * z)
+        return self.event(z) if t == 1 else self.wider(t * z)
 
     def after(self, z: np.ndarray, t: float, share: float, last: float) -> float:
         """Spread at which `_KEPT` should remain, were the limit flat (outwards) or shares a power of spreads (inwards)."""
