@@ -144,15 +144,15 @@ def test_rare_units_anywhere(place):
     assert set(found.status.split(", ")) <= GOOD
     assert abs(value - exact) < 4 * found.probability.error < 0.4 * exact
     assert exact / 2.5 < second < 2.5 * exact
-    nominal_is_rare = "nominal unit" in place and "shell" not in place or place.startswith(("around", "a thin slab"))
+    nominal_is_rare = ("nominal unit" in place and "shell" not in place) or place.startswith(("around", "a thin slab"))
     assert ("RARE_NOMINAL" in found.status) == nominal_is_rare
 
 
 @pytest.mark.parametrize(
     ("response", "need", "share"),
     [(norm, Requirement(upper=-1.0), 1.0), (norm, Requirement(lower=-1.0), 0.0),
-     (lambda e: norm(e) * jnp.nan, Requirement(lower=0.0), 1.0), (lambda e: jnp.inf + norm(e), Requirement(lower=0.0), 0.0),
-     (lambda e: jnp.inf + norm(e), Requirement(upper=0.0), 1.0)],
+     (lambda e: norm(e) * jnp.nan, Requirement(lower=0.0), 1.0),
+     (lambda e: jnp.inf + norm(e), Requirement(lower=0.0), 0.0), (lambda e: jnp.inf + norm(e), Requirement(upper=0.0), 1.0)],
     ids=["all fail", "none fails", "no value", "infinite passes", "infinite fails"],
 )  # fmt: skip
 def test_units_that_are_all_alike(response, need, share):
@@ -168,7 +168,7 @@ def test_units_that_are_all_alike(response, need, share):
 
 def test_a_cone_of_which_no_step_leads_inwards():
     """Units of one direction, at every distance: neither estimate holds, and the interval and status say so."""
-    direction, exact = lambda e: e["v"][0] / norm(e), stats.beta.sf(0.98**2, 0.5, 2.5) / 2  # noqa: E731
+    direction, exact = lambda e: e["v"][0] / norm(e), stats.beta.sf(0.98**2, 0.5, 2.5) / 2
     for seed in range(3):
         found = failure_probability(
             direction, {"v": Tolerance.symmetric(3.0, shape=(6,))}, Requirement(upper=0.98), samples=5000, seed=seed

@@ -5,9 +5,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from rvjax.outputs import Output
+from rvjax.records import PyTree
 from rvjax.render import Quantity, Zone
 from rvjax.study import Study
-from rvjax.tolerances import Estimate, Influence, Limits, Statistics, Tolerance, Verdict
+from rvjax.tolerances import Estimate, Influence, Limits, Statistics, Tolerance, Verdict, slopes_change_sign
 from rvjax.units import readable, rpm, suited
 
 
@@ -159,6 +160,19 @@ def failures_text(found: Statistics) -> str:
         return "0 failed"
     kinds = (f"{count:,} {name} (unit {found.examples[name]})" for name, count in found.failures.items())
     return f"{found.failed:,} failed, each a reject in every yield: {', '.join(kinds)}"
+
+
+def searched_texts(study: Study, tolerances: PyTree) -> list[str]:
+    """A line for each limited worst case that is the result of a search, because slopes change sign.
+
+    Args:
+        study: with the limits.
+        tolerances: of the errors.
+    """
+    limited = [name for name, requirement in study.requirements.items() if requirement.of_extremes]
+    bent = slopes_change_sign(study.response(solve=False), tolerances) if limited else {}
+    why = "slopes change sign within the limits of the errors; the value is the worst of a search"
+    return [f"Worst case of {name}: {why}, not certainly the worst." for name in limited if bent[name]]
 
 
 def condition_text(value: Any, about: Mapping[str, Any]) -> str:

@@ -79,6 +79,19 @@ def worst_case(response: Response, tolerances: PyTree, *, refine: bool = True) -
     return by_name(WorstCase, found)
 
 
+def slopes_change_sign(response: Response, tolerances: PyTree) -> dict[str, bool]:
+    """Whether a slope changes its sign within the limits, by name of the response: its ends may not be at corners.
+
+    Args:
+        response: pure function of the errors of one unit.
+        tolerances: record or dict with a `Tolerance` or None in each field.
+    """
+    population = Population.of(tolerances)
+    names = response_names(response, population)
+    search = _Search(response, population, names)
+    return {name: search.bends(k) for k, name in enumerate(names)}
+
+
 @dataclasses.dataclass(frozen=True)
 class Extremes:
     """Both ends of the range of one response over the limits.
@@ -208,7 +221,7 @@ class _Search:
             return False
         _, _, gradients = self.spread(k)
         seen = np.where(np.abs(gradients) > _NO_SLOPE * np.abs(gradients).max(), gradients, 0.0)
-        both = (seen > 0).any(axis=0) & (seen < 0).any(axis=0)
+        both = (seen.max(axis=0) > 0) & (seen.min(axis=0) < 0)
         discs = seen[:, self.in_disc].reshape(len(seen), -1, 2)
         along = (discs * discs.sum(axis=0)).sum(axis=2)
         return bool(both[~self.in_disc].any() or (along < 0).any())

@@ -13,7 +13,16 @@ from rvjax.response import Response, by_name, by_response, response_names
 from rvjax.tolerances.failure.form import BATCH, LANES, Found, LimitState, Units, design_points
 from rvjax.tolerances.failure.images import orbit
 from rvjax.tolerances.failure.importance_sampling import Mixture, apart
-from rvjax.tolerances.failure.subset import INWARDS, ISLANDS, OUTWARDS, Levels, Sequential, Spreads, sequential, together
+from rvjax.tolerances.failure.subset import (
+    INWARDS,
+    ISLANDS,
+    OUTWARDS,
+    Levels,
+    Sequential,
+    Spreads,
+    sequential,
+    together,
+)
 from rvjax.tolerances.requirements.kinds import Limits
 
 _ROUNDS = 12  # most batches of searches
@@ -131,7 +140,7 @@ def _searched(search: "_Search", random: np.random.Generator, samples: int) -> d
     disagree = _disagree(first, second, mixture, typical) or search.contradicts(first)
     reasons = ["FEW_EFFECTIVE_SAMPLES"] * few + ["ESTIMATES_DISAGREE"] * disagree
     shown, plain = first, search.counted(0.95)
-    if search.contradicts(first) or (disagree or few) and search.hits >= _COUNTED:
+    if search.contradicts(first) or ((disagree or few) and search.hits >= _COUNTED):
         shown, reasons = plain, [*reasons, "PLAIN_UNITS"]
     elif (disagree or few) and first.value > 0:
         shown = _both(first, second.probability if second.probability.value else plain)
@@ -247,13 +256,13 @@ class _Search:
             part = around.probability.value / (around.probability.value + found.probability.value)
             self.mixture.gather(around.units, max(part, _LEAST_CLOUD))
             found = together(around, found, random)
-        if not self.mixture.count and not found.units.shape[1] or self.mixture.frequent:
+        if (not self.mixture.count and not found.units.shape[1]) or self.mixture.frequent:
             return found
         drawn = self.mixture.sample(random, BATCH)
         hit = self.differ(drawn)
         share = float(self.mixture.weights(drawn[:, hit]).sum()) / BATCH
         rare_hits = hit.mean() < _HITS
-        if not found.units.shape[1] and rare_hits or share > max(_REACHED, _MISSED * found.probability.value):
+        if (not found.units.shape[1] and rare_hits) or share > max(_REACHED, _MISSED * found.probability.value):
             levels = sequential(Levels(self._inside), self.numbers, random)
             found = max(found, levels, key=lambda one: one.probability.value)  # each can only miss a part
         if rare_hits and found.units.shape[1] and around is None:

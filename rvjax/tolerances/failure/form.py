@@ -47,9 +47,9 @@ class Units:
             part = z[:, start : start + BATCH]
             padded = np.pad(part, ((0, 0), (0, BATCH - part.shape[1])))
             values, status = respond(self.response, self.population, jnp.asarray(padded, jnp.result_type(float)))
-            numbers, status = np.asarray([values[name] for name in sorted(values)], float), np.asarray(status)
-            infinite = (status == int(Status.NONFINITE)) & ~np.isnan(numbers).any(axis=0)  # such as a life without load
-            valid = np.where(succeeded(status) | infinite, np.asarray(values[self.name], float), np.nan)
+            numbers, ended = np.asarray([values[name] for name in sorted(values)], float), np.asarray(status)
+            infinite = (ended == int(Status.NONFINITE)) & ~np.isnan(numbers).any(axis=0)  # such as a life without load
+            valid = np.where(succeeded(ended) | infinite, np.asarray(values[self.name], float), np.nan)
             found[start : start + BATCH] = valid[: part.shape[1]]
         return found
 

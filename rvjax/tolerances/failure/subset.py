@@ -107,7 +107,7 @@ class Spreads:
         return self.event(z) if t == 1 else self.wider(t * z)
 
     def after(self, z: np.ndarray, t: float, share: float, last: float) -> float:
-        """Spread at which `_KEPT` should remain, were the limit flat (outwards) or shares a power of spreads (inwards)."""
+        """Spread at which `_KEPT` should remain, if the limit is flat (outwards) or shares are a power of the spread."""
         if t > 1:
             distance = -special.ndtri(min(share, 0.4)) * t
             return max(1.0, distance / -special.ndtri(_KEPT * min(share, 0.4)))
@@ -199,7 +199,7 @@ Shape = tuple[np.ndarray, np.ndarray]
 
 
 def _shapes(z: np.ndarray, alive: np.ndarray) -> list[Shape]:
-    """Principal axes (numbers, numbers) of units, and the spreads along these, for the moves of each half of the islands.
+    """Principal axes of units, and the spreads along these, for the moves of each half of the islands.
 
     They come from the other half: moves that depended on the units they move would not keep the normal law.
     """
