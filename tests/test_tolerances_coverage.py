@@ -152,7 +152,8 @@ def test_rare_units_anywhere(place):
     ("response", "need", "share"),
     [(norm, Requirement(upper=-1.0), 1.0), (norm, Requirement(lower=-1.0), 0.0),
      (lambda e: norm(e) * jnp.nan, Requirement(lower=0.0), 1.0),
-     (lambda e: jnp.inf + norm(e), Requirement(lower=0.0), 0.0), (lambda e: jnp.inf + norm(e), Requirement(upper=0.0), 1.0)],
+     (lambda e: jnp.inf + norm(e), Requirement(lower=0.0), 0.0),
+     (lambda e: jnp.inf + norm(e), Requirement(upper=0.0), 1.0)],
     ids=["all fail", "none fails", "no value", "infinite passes", "infinite fails"],
 )  # fmt: skip
 def test_units_that_are_all_alike(response, need, share):

@@ -80,7 +80,7 @@ def worst_case(response: Response, tolerances: PyTree, *, refine: bool = True) -
 
 
 def slopes_change_sign(response: Response, tolerances: PyTree) -> dict[str, bool]:
-    """Whether a slope changes its sign within the limits, by name of the response: its ends may not be at corners.
+    """Mark the responses, by name, with a slope that changes its sign within the limits.
 
     Args:
         response: pure function of the errors of one unit.

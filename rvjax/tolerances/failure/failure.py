@@ -338,5 +338,4 @@ class _Search:
         skewness = third / variance**1.5 if variance > 0 else 0.0
         seen_as = share * unit, error * unit
         found = _widest(rare(*seen_as, deviate), skewed(*seen_as, skewness, samples, deviate))
-        lower, upper = max(0.0, found.lower), min(1.0, found.upper)
-        return Estimate(min(1.0, found.value), found.error, lower, upper), total**2 / squares, squares / total * unit
+        return found, total**2 / squares, squares / total * unit

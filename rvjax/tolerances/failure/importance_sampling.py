@@ -76,7 +76,7 @@ class Mixture:
         return points[:, [k for k in kept if apart(points[:, k], before)]]
 
     def gather(self, units: np.ndarray, share: float) -> None:
-        """Lay a cloud over units of the event (numbers, n), drawn with this share of all draws not about the origin."""
+        """Lay a cloud over units of the event (numbers, n), for this share of all draws not about the origin."""
         axes, sizes = shape_of(units)
         inflated = 1 + _INFLATED / math.sqrt(len(units))
         self.cloud, self.in_cloud = (units.mean(axis=1), axes, inflated * sizes), share

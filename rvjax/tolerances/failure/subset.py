@@ -107,7 +107,7 @@ class Spreads:
         return self.event(z) if t == 1 else self.wider(t * z)
 
     def after(self, z: np.ndarray, t: float, share: float, last: float) -> float:
-        """Spread at which `_KEPT` should remain, if the limit is flat (outwards) or shares are a power of the spread."""
+        """Spread at which `_KEPT` should remain, if the limit is flat (outwards) or shares a power of the spread."""
         if t > 1:
             distance = -special.ndtri(min(share, 0.4)) * t
             return max(1.0, distance / -special.ndtri(_KEPT * min(share, 0.4)))
@@ -201,7 +201,7 @@ Shape = tuple[np.ndarray, np.ndarray]
 def _shapes(z: np.ndarray, alive: np.ndarray) -> list[Shape]:
     """Principal axes of units, and the spreads along these, for the moves of each half of the islands.
 
-    They come from the other half: moves that depended on the units they move would not keep the normal law.
+    They come from the other half: moves that depend on the units they move have a bias.
     """
     found = []
     for other in (slice(ISLANDS // 2, None), slice(0, ISLANDS // 2)):
@@ -214,7 +214,7 @@ def _shapes(z: np.ndarray, alive: np.ndarray) -> list[Shape]:
 def shape_of(units: np.ndarray) -> Shape:
     """Principal axes (numbers, numbers) of units (numbers, n), and their spreads along these.
 
-    Spreads that differ no more than those of so few units of a ball are drawn together, by ratios: a thin event at any
+    Spreads that differ no more than those of so few units of a ball are averaged, by ratios: a thin event at any
     angle to the numbers stays thin.
     """
     numbers, n = units.shape
@@ -226,7 +226,7 @@ def shape_of(units: np.ndarray) -> Shape:
 
 
 def _moved(z: np.ndarray, random: np.ndarray, reach: float, shapes: list[Shape]) -> np.ndarray:
-    """Units moved by standard normal numbers of their shape so that the normal law is kept.
+    """Units moved by standard normal numbers of their shape so that they stay standard normal.
 
     Args:
         z: (numbers, islands, n).
