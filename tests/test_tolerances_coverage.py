@@ -170,9 +170,9 @@ def test_units_that_are_all_alike(response, need, share):
 def test_a_cone_of_which_no_step_leads_inwards():
     """Units of one direction, at every distance: neither estimate holds, and the interval and status say so."""
     direction, exact = lambda e: e["v"][0] / norm(e), stats.beta.sf(0.98**2, 0.5, 2.5) / 2
-    for seed in range(3):
+    for seed in range(2):
         found = failure_probability(
-            direction, {"v": Tolerance.symmetric(3.0, shape=(6,))}, Requirement(upper=0.98), samples=5000, seed=seed
+            direction, {"v": Tolerance.symmetric(3.0, shape=(6,))}, Requirement(upper=0.98), samples=10_000, seed=seed
         )
         assert "ESTIMATES_DISAGREE" in found.status or "FEW_EFFECTIVE_SAMPLES" in found.status
         assert 0 <= found.probability.lower <= exact <= found.probability.upper
@@ -193,17 +193,23 @@ def test_plain_units_contradict_two_estimates_that_agree(monkeypatch):
     assert found.probability.upper == pytest.approx(1 - 0.025 ** (1 / 4096), rel=1e-9)
 
 
+def shell(z):
+    return 0.1 - abs((z**2).sum(axis=0) ** 0.5 - 5.1)
+
+
 @pytest.mark.parametrize(
     ("path", "numbers", "exact"),
     [(Spreads(lambda z: (z**2).sum(axis=0) < 0.04, (0.5, 0.25, 2.0**-4)), 5, within(5, 0.2)),
      (Spreads(lambda z: (z**2).sum(axis=0) < 6.25, (0.5,)), 33, within(33, 2.5)),
      (Spreads(lambda z: abs(z.sum(axis=0)) < 1e-4, (0.5, 2.0**-8, 2.0**-16)), 5, 2 * special.ndtr(1e-4 / 5**0.5) - 1),
-     (Levels(lambda z: 0.1 - abs(np.sqrt((z**2).sum(axis=0)) - 5.1)), 5, within(5, 5.2) - within(5, 5.0))],
-    ids=["ball", "ball of many numbers", "slab", "shell"],
+     (Levels(shell, lambda z: shell(z) > 0), 5, within(5, 5.2) - within(5, 5.0)),
+     (Levels(lambda z: z[0] - 4.5, lambda z: z[0] > 4.5), 5, stats.norm.sf(4.5))],
+    ids=["ball", "ball of many numbers", "slab", "shell", "far"],
 )  # fmt: skip
 def test_subset_simulation_has_no_bias(path, numbers, exact):
-    """Moves whose shape depends on the units that they move make the ball of 33 numbers 20 times too likely."""
-    found = [sequential(path, numbers, np.random.default_rng(seed)).probability for seed in range(20)]
+    """Moves whose shape depends on the units that they move make the far limit 0.7 times as likely."""
+    runs = 20 if numbers > 5 else 40
+    found = [sequential(path, numbers, np.random.default_rng(seed)).probability for seed in range(runs)]
     ratios = np.array([each.value / exact for each in found])
-    assert abs(ratios.mean() - 1) < 4 * ratios.std(ddof=1) / math.sqrt(20) < 0.4
-    assert sum(each.lower <= exact <= each.upper for each in found) >= 16  # fewer: 3 of 1000 cases
+    assert abs(ratios.mean() - 1) < 4 * ratios.std(ddof=1) / math.sqrt(runs) < 0.4
+    assert sum(each.lower <= exact <= each.upper for each in found) >= 0.8 * runs  # fewer: 3 of 1000 cases with 20

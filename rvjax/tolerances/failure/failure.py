@@ -263,7 +263,7 @@ class _Search:
         share = float(self.mixture.weights(drawn[:, hit]).sum()) / BATCH
         rare_hits = hit.mean() < _HITS
         if (not found.units.shape[1] and rare_hits) or share > max(_REACHED, _MISSED * found.probability.value):
-            levels = sequential(Levels(self._inside), self.numbers, random)
+            levels = sequential(Levels(self._inside, self.differ), self.numbers, random)
             found = max(found, levels, key=lambda one: one.probability.value)  # each can only miss a part
         if rare_hits and found.units.shape[1] and around is None:
             self.mixture.gather(found.units, _LEAST_CLOUD)

@@ -131,17 +131,17 @@ class Levels:
 
     end, shaped = 0.0, True
 
-    def __init__(self, distance: Event) -> None:
-        """Distance (n,) within the event of units (numbers, n), negative outside."""
-        self.distance = distance
+    def __init__(self, distance: Event, event: Event) -> None:
+        """Distance (n,) within the event of units (numbers, n), negative outside; and the event, which counts."""
+        self.distance, self.event = distance, event
 
     def begin(self, z: np.ndarray) -> tuple[float, np.ndarray]:
         """All units."""
         return -math.inf, np.full(z.shape[1], True)
 
     def within(self, z: np.ndarray, t: float) -> np.ndarray:
-        """Mark the units beyond the level; at the end those within the limit, which includes the limit."""
-        return self.distance(z) > t if t < 0 else self.distance(z) >= 0
+        """Mark the units beyond the level; at the end those of the event."""
+        return self.distance(z) > t if t < 0 else self.event(z)
 
     def after(self, z: np.ndarray, t: float, share: float, last: float) -> float:
         """The level that `_KEPT` of the units exceed; the end where many have the same distance."""
