@@ -111,6 +111,10 @@ PLACES = {
         lambda e: jnp.abs(norm(e) - 0.3), 5, Requirement(lower=0.05), within(5, 0.35) - within(5, 0.25)
     ),
     "a small ball elsewhere": (off, 3, Requirement(lower=0.1), stats.ncx2.cdf(0.01, 3, 4)),
+    "a sliver and both tails": (
+        lambda e: jnp.maximum(jnp.abs(e["v"][0]) - 3.5, 4e-4 - jnp.abs(e["v"][0] - 0.5)), 1, Requirement(upper=0.0),
+        2 * stats.norm.sf(3.5) + stats.norm.cdf(0.5004) - stats.norm.cdf(0.4996),
+    ),
     "both sides": (lambda e: jnp.abs(e["v"][0]), 5, Requirement(upper=4.5), 2 * stats.norm.sf(4.5)),
     "passing around the nominal unit": (norm, 5, Requirement(upper=0.2), within(5, 0.2)),
     "passing far out": (lambda e: e["v"][0], 5, Requirement(lower=4.5), stats.norm.sf(4.5)),

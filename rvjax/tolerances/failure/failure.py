@@ -261,12 +261,13 @@ class _Search:
         drawn = self.mixture.sample(random, BATCH)
         hit = self.differ(drawn)
         share = float(self.mixture.weights(drawn[:, hit]).sum()) / BATCH
-        rare_hits = hit.mean() < _HITS
-        if (not found.units.shape[1] and rare_hits) or share > max(_REACHED, _MISSED * found.probability.value):
+        thin = hit.mean() < _HITS  # a part of the event smaller than a unit normal, which spreads may miss
+        if thin or share > max(_REACHED, _MISSED * found.probability.value):
             levels = sequential(Levels(self._inside, self.differ), self.numbers, random)
+            pool = np.concatenate([found.units, levels.units], axis=1)
             found = max(found, levels, key=lambda one: one.probability.value)  # each can only miss a part
-        if rare_hits and found.units.shape[1] and around is None:
-            self.mixture.gather(found.units, _LEAST_CLOUD)
+            if thin and pool.shape[1] and not self.around:
+                self.mixture.gather(pool, _LEAST_CLOUD)
         return found
 
     def explore(self, random: np.random.Generator, differing: np.ndarray) -> None:
