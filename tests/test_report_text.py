@@ -24,7 +24,7 @@ from rvjax.population.estimates import Estimate
 from rvjax.render import Figure
 from rvjax.study import load
 from rvjax.study.study import About
-from rvjax.tolerances import Outcome, Requirement, monte_carlo
+from rvjax.tolerances import Outcome, Requirement, WorstCaseWithin, monte_carlo
 from rvjax.units import arcmin, rpm, um
 
 
@@ -149,6 +149,28 @@ def test_a_batch_says_how_many_units_failed_why_and_how_they_count():
     assert failures_text(SimpleNamespace(failed=0, infinite={"life": 0})) == "0 failed"
     endless = failures_text(SimpleNamespace(failed=0, infinite={"play": 0, "life": 1200}))
     assert endless == "0 failed; infinite: life of 1,200 units (mean, sd and Cpk exclude them)"
+
+
+def test_a_worst_case_says_that_it_is_searched(monkeypatch):
+    """A size, whose slopes change sign where no error lies, and a sum; in the text of both commands and on the page."""
+    limits = {"misfit": WorstCaseWithin(upper=50 * um), "lost_motion": WorstCaseWithin(upper=5 * arcmin)}
+    question = dataclasses.replace(load("rv-40e", solve=False), requirements=limits)
+
+    def response(errors):
+        total = jnp.sum(errors.disc_bore) + jnp.sum(errors.carrier_bore)
+        return {"misfit": jnp.abs(total), "lost_motion": total}
+
+    monkeypatch.setattr(type(question), "response", lambda self, *, solve=True: response)
+    found = monte_carlo(response, question.tolerances, samples=16, seed=0, requirements=limits)
+    answer = SimpleNamespace(
+        study=question,
+        allocation=SimpleNamespace(tolerances=question.tolerances),
+        after=SimpleNamespace(values={}),
+        whole=None,
+    )
+    for text in (report_on(found, question).text(), "\n".join(allocate.limits_of_the_answer(answer))):
+        assert "Worst case of misfit: slopes change sign within the limits" in text
+        assert "Worst case of lost_motion" not in text
 
 
 def test_a_saving_is_a_negative_change():

@@ -10,6 +10,7 @@ which costs 0.1 %.
 import dataclasses
 import math
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scale_study import bits
@@ -205,6 +206,17 @@ def test_a_doubtful_probability_certifies_nothing(monkeypatch):
     monkeypatch.setattr(certificate, "failure_probability", doubt)
     refused = certifier.draw(narrow)
     assert not certifier.holds(refused) and "not to be trusted" in refused.verdicts[""].wanted
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_no_yield_exceeds_one(seed):
+    """Units fail where all five errors are small: by points about the nominal unit their share was below 0."""
+    few = lambda e: jnp.sqrt(jnp.sum(e["v"] ** 2))  # noqa: E731
+    spread = Population.of({"v": Tolerance.symmetric(3.0, shape=(5,))})
+    run = Run(few, spread, ("",), {"": Requirement(lower=0.2, target=1 - 1e-6)}, 20_000, seed, 20_000)
+    verdict = certificate.Certifier(run, None).draw(spread).verdicts[""]
+    assert 1 - 2e-5 < verdict.estimate.lower <= 1 - stats.chi2.cdf(0.04, 5) <= verdict.estimate.upper <= 1
+    assert not verdict.met
 
 
 def test_other_costs_and_kept_fields():

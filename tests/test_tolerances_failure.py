@@ -334,7 +334,7 @@ def test_limits_far_beyond_every_unit(away):
     """Squares of the weights, then the weights themselves, are below the smallest number: 0 / 0 before."""
     tolerances = {"a": Tolerance.symmetric(3 * um), "b": Tolerance.symmetric(4 * um)}
     limit = Requirement(upper=away * 5 / 3 * um)
-    found = failure_probability(Linear({"a": 1.0, "b": 1.0}), tolerances, limit, samples=2000, seed=0)
+    found = failure_probability(Linear({"a": 1.0, "b": 1.0}), tolerances, limit, samples=8000, seed=0)
     exact = stats.norm.sf(away)
     assert found.reliability_index == pytest.approx(away, rel=1e-9)
     assert found.probability.lower <= exact <= found.probability.upper

@@ -6,6 +6,7 @@ grid, and Monte Carlo. Closed forms agree to round-off, 1e-12; second-order mome
 
 import itertools
 import math
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +16,9 @@ from scipy import stats
 
 import rvjax
 from oracles.responses import Linear
+from rvjax.population.population import Population
 from rvjax.tolerances import Requirement, Tolerance, for_design, monte_carlo, rss, sample, worst_case
+from rvjax.tolerances.worst_case import extremes
 from rvjax.units import um
 
 LIMITS = Requirement(lower=-30 * um, upper=30 * um)
@@ -243,6 +246,55 @@ def test_worst_case_inside_the_box():
     found = worst_case(response, tolerances)
     assert found.lower == pytest.approx(0.0, abs=1e-4)
     assert float(found.at_lower["x"]) == pytest.approx(0.3, abs=0.02)
+
+
+BOX = {"a": Tolerance.symmetric(1.0), "b": Tolerance.symmetric(1.0)}
+WAVES = {"x": Tolerance.symmetric(1.0, shape=(5,))}
+
+
+@pytest.mark.parametrize(
+    ("response", "tolerances", "lower", "upper"),
+    [
+        (lambda e: e["a"] ** 2 - e["b"] ** 2, BOX, -1.0, 1.0),  # 0 in every corner, and level at the mid-point
+        (lambda e: jnp.exp(-50 * (e["a"] - 0.4) ** 2) + 0.1 * e["b"], BOX, -0.1, 1.1),  # a peak 0.1 wide
+        (lambda e: (e["a"] * e["b"] - 0.2) ** 2 - (e["a"] + 0.3) ** 2, BOX, -1.69, 1.44 - 0.49),
+        (lambda e: (e["a"] - 0.31) ** 2 + 100 * (e["b"] - e["a"]) ** 2, BOX, 0.0, 1.31**2 + 400),  # a narrow valley
+        # Every phase from i - 3 to i + 3: the first holds 0 but not pi.
+        (lambda e: jnp.sum(jnp.cos(3 * e["x"] + np.arange(5.0))), WAVES, -4 - math.cos(3 - math.pi), 5.0),
+        # Squares of a vector in its disc: the slope turns round.
+        (
+            lambda e: e["v"][0] ** 2 - 2 * e["v"][1] ** 2,
+            {"v": Tolerance(0.0, 2.0, distribution="rayleigh", shape=(2,))},
+            -8.0,
+            4.0,
+        ),
+    ],
+    ids=["saddle", "peak", "product", "valley", "waves", "disc"],
+)
+def test_worst_case_of_slopes_that_change_sign(response, tolerances, lower, upper):
+    """Ends to 5e-7 of the range."""
+    found = worst_case(response, tolerances)
+    assert (found.lower, found.upper) == pytest.approx((lower, upper), rel=0, abs=5e-7 * (upper - lower))
+    assert found.status == "SLOPES_CHANGE_SIGN"
+    for value, place in ((found.lower, found.at_lower), (found.upper, found.at_upper)):
+        assert float(response(place)) == pytest.approx(value, abs=1e-12)
+    ends = extremes(response, Population.of(tolerances), ("",), "")  # what requirements read
+    assert tuple(ends.values) == (found.lower, found.upper)
+
+
+@pytest.mark.parametrize(("shape", "before"), [((10,), 7168), ((30,), 1152)], ids=["all corners", "no corners"])
+def test_worst_case_of_a_monotone_response_costs_no_more_than_its_corners(shape, before, monkeypatch):
+    """Points evaluated, whole blocks of 64: as many as without a look at the slopes within the limits, at most."""
+    module = sys.modules["rvjax.tolerances.worst_case"]
+    evaluate, points = module._values_and_gradients, []
+    monkeypatch.setattr(
+        module, "_values_and_gradients", lambda *args, **named: points.append(len(args[2])) or evaluate(*args, **named)
+    )
+    found = worst_case(lambda e: jnp.sinh(jnp.sum(e["x"]) / 10), {"x": Tolerance.symmetric(1.0, shape=shape)})
+    assert found.upper == pytest.approx(math.sinh(shape[0] / 10))
+    assert found.status == "OK"
+    assert 0 < sum(points) <= before
+    assert worst_case(linear, stack(), refine=False).status == "ONE_CORNER"
 
 
 def test_worst_case_of_vectors_is_a_disc():

@@ -5,9 +5,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from rvjax.outputs import Output
+from rvjax.records import PyTree
 from rvjax.render import Quantity, Zone
 from rvjax.study import Study
-from rvjax.tolerances import Estimate, Influence, Limits, Statistics, Tolerance, Verdict
+from rvjax.tolerances import Estimate, Influence, Limits, Statistics, Tolerance, Verdict, slopes_change_sign
 from rvjax.units import readable, rpm, suited
 
 
@@ -161,6 +162,19 @@ def failures_text(found: Statistics) -> str:
         text = f"{found.failed:,} failed, each a reject in every yield: {', '.join(kinds)}"
     endless = ", ".join(f"{name} of {count:,} units" for name, count in found.infinite.items() if count)
     return f"{text}; infinite: {endless} (mean, sd and Cpk exclude them)" if endless else text
+
+
+def searched_texts(study: Study, tolerances: PyTree) -> list[str]:
+    """A line for each limited worst case that is the result of a search, because slopes change sign.
+
+    Args:
+        study: with the limits.
+        tolerances: of the errors.
+    """
+    limited = [name for name, requirement in study.requirements.items() if requirement.of_extremes]
+    bent = slopes_change_sign(study.response(solve=False), tolerances) if limited else {}
+    why = "slopes change sign within the limits of the errors; the value is the worst of a search"
+    return [f"Worst case of {name}: {why}, not certainly the worst." for name in limited if bent[name]]
 
 
 def condition_text(value: Any, about: Mapping[str, Any]) -> str:

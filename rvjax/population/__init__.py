@@ -2,6 +2,7 @@
 
 from rvjax.population.estimates import (
     Estimate,
+    clopper_pearson as clopper_pearson,
     deviate_of as deviate_of,
     of_groups as of_groups,
     one_decides as one_decides,

@@ -69,6 +69,14 @@ def wilson(successes: int, samples: int, confidence: float) -> Estimate:
     return Estimate(share, math.sqrt(share * (1 - share) / samples), lower, upper)
 
 
+def clopper_pearson(successes: int, samples: int, confidence: float) -> Estimate:
+    """Return a share of independent units with the exact interval of Clopper and Pearson (1934)."""
+    share, tail = successes / samples, (1 - confidence) / 2
+    lower = float(special.betaincinv(successes, samples - successes + 1, tail)) if successes else 0.0
+    upper = float(special.betaincinv(successes + 1, samples - successes, 1 - tail)) if successes < samples else 1.0
+    return Estimate(share, math.sqrt(share * (1 - share) / samples), lower, upper)
+
+
 def rare(share: float, error: float, deviate: float) -> Estimate:
     """A small share, its interval of equal factors: a sample without what is rare and heavy has a low error too."""
     factor = math.exp(min(deviate * error / share, 700.0)) if share > 0 else 1.0

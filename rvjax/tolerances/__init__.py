@@ -53,7 +53,7 @@ from rvjax.tolerances.requirements.kinds import (
 from rvjax.tolerances.requirements.limits import Limits as Limits
 from rvjax.tolerances.saving import RESULTS as RESULTS, Origin, load, origin, save
 from rvjax.tolerances.sobol_indices import SobolIndices, sobol_indices
-from rvjax.tolerances.worst_case import WorstCase, worst_case
+from rvjax.tolerances.worst_case import WorstCase, slopes_change_sign as slopes_change_sign, worst_case
 
 RESULTS += [item for item in vars().values() if isinstance(item, type) and dataclasses.is_dataclass(item)]
 

@@ -7,6 +7,7 @@ import math
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.stats import qmc
 
 from rvjax._jax.arguments import checked
 from rvjax._jax.batching import in_blocks
@@ -16,7 +17,10 @@ from rvjax.response import Response, by_name, evaluate, per_response, response_n
 from rvjax.status import succeeded
 
 _ALL_CORNERS = 12  # up to so many coordinates every corner is looked at
-_STARTS = 16  # else: corners of gradient signs at the mid-point and at random points
+_INSIDE = 62  # points within the limits, mid-point included; with a corner they fill a block
+_CLIMB = 24  # steps of all of them at once, only where slopes change sign
+_FIRST, _LONGER, _SHORTER = 0.5, 2.0, 0.25  # step of a climb, in half-widths, and its change after success and failure
+_NO_SLOPE = 1e-6  # part of the largest slope: rounding has a sign as well
 _BLOCK = 64  # points evaluated at once, padded, so that one program serves every question
 _ROUNDS = 20  # gradient signs taken again; every round must improve, so this is a limit seldom met
 
@@ -31,6 +35,9 @@ class WorstCase:
         at_lower: errors of the smallest value.
         at_upper: errors of the largest value.
         failed: looked-at points where the response failed; the range holds for the others.
+        status: "OK": each slope has the same sign at 62 points within the limits, so the ends are at corners.
+            "SLOPES_CHANGE_SIGN": the ends are the best of a search from these points and the corners; the true range
+            may be wider. "ONE_CORNER": without `refine`, one corner was looked at for each end.
     """
 
     lower: PyTree
@@ -38,6 +45,7 @@ class WorstCase:
     at_lower: PyTree
     at_upper: PyTree
     failed: PyTree
+    status: PyTree
 
 
 @checked
@@ -45,10 +53,11 @@ def worst_case(response: Response, tolerances: PyTree, *, refine: bool = True) -
     """Smallest and largest response when every error may lie anywhere between its limits.
 
     The search starts at the corner that the gradient signs at the mid-point point to. With `refine` it
-    starts from several corners (all of them up to 12 coordinates), takes the signs again and flips
-    single coordinates until nothing improves, and looks for an interior extremum from there. Exact for
-    responses monotone in each error; otherwise the true range may be wider. The limits of a Rayleigh
-    vector are a disc of radius `upper`.
+    starts from the corners that the signs at 62 points spread over the limits point to (from all corners up to 12
+    coordinates), takes the signs again and flips single coordinates until nothing improves. Where a slope changes its
+    sign among the points, each of them climbs to an extremum nearby too. Exact for responses monotone in each error;
+    otherwise the true range may be wider, and `status` says so. The limits of a Rayleigh vector are a disc of radius
+    `upper`.
 
     Args:
         response: pure function of the errors of one unit; a scalar, a dict or record of scalars, or `Outcome`.
@@ -64,9 +73,23 @@ def worst_case(response: Response, tolerances: PyTree, *, refine: bool = True) -
     found = {}
     for k, name in enumerate(names):
         (low, at_low, failed), (high, at_high, also) = (search.extreme(k, sign, refine) for sign in (-1.0, 1.0))
+        status = "ONE_CORNER" if not refine else "SLOPES_CHANGE_SIGN" if search.bends(k) else "OK"
         places = dict(at_lower=search.errors(at_low), at_upper=search.errors(at_high))
-        found[name] = dict(lower=-low, upper=high, failed=failed + also, **places)
+        found[name] = dict(lower=-low, upper=high, failed=failed + also, status=status, **places)
     return by_name(WorstCase, found)
+
+
+def slopes_change_sign(response: Response, tolerances: PyTree) -> dict[str, bool]:
+    """Mark the responses, by name, with a slope that changes its sign within the limits.
+
+    Args:
+        response: pure function of the errors of one unit.
+        tolerances: record or dict with a `Tolerance` or None in each field.
+    """
+    population = Population.of(tolerances)
+    names = response_names(response, population)
+    search = _Search(response, population, names)
+    return {name: search.bends(k) for k, name in enumerate(names)}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -120,6 +143,7 @@ class _Search:
         pairs = [np.full(math.prod(t.shape), t.is_vector) for t in population.active.values()]
         self.in_disc = np.concatenate([np.zeros(0, bool), *pairs])
         self.failed = 0
+        self._spread: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
 
     def errors(self, u: np.ndarray) -> PyTree:
         """Errors of unit coordinates."""
@@ -140,15 +164,22 @@ class _Search:
         self.failed = 0
         n = len(self.in_disc)
         middle = np.zeros((1, n))
-        value, gradient = self.look(middle, k, sign)
+        if not refine or not n:
+            value, gradient = self.look(middle, k, sign)
         if not n:
             return float(value[0]), middle[0], self.failed
-        starts = self.corner(gradient)
         if refine:
-            starts = np.concatenate([middle, starts, self.more_starts(k, sign)])
+            _, inside, gradient = self.spread(k)
+            self.failed = int(np.isnan(inside).sum())  # at both ends alike
+            starts = self.starts(sign * gradient)
+        else:
+            starts = self.corner(gradient)
         points, (values, gradients) = starts, self.look(starts, k, sign)
         if refine:
             points, values, gradients = self.by_signs(points, values, gradients, k, sign)
+        if refine and self.bends(k):
+            others, heights = self.climbed(k, sign)
+            points, values = np.concatenate([points, others]), np.concatenate([values, heights])
         if np.isnan(values).all():
             return math.nan, points[0], self.failed
         best = int(np.nanargmax(values))
@@ -167,13 +198,47 @@ class _Search:
         signs[:, self.in_disc] = along.reshape(len(gradients), -1)
         return signs
 
-    def more_starts(self, k: int, sign: float) -> np.ndarray:
-        """All corners if few, else gradient signs at random points (a kink hides them at the mid-point)."""
+    def starts(self, gradients: np.ndarray) -> np.ndarray:
+        """The mid-point, and all corners if few, else those that gradients (m, n) point to."""
         n = len(self.in_disc)
         if n <= _ALL_CORNERS and not self.in_disc.any():
-            return np.array(list(itertools.product((-1.0, 1.0), repeat=n)))
-        random = np.random.default_rng(0).uniform(-0.7, 0.7, (_STARTS, n))
-        return self.corner(self.look(random, k, sign)[1])
+            corners = np.array(list(itertools.product((-1.0, 1.0), repeat=n)))
+        else:
+            corners = self.corner(gradients)
+        return np.concatenate([np.zeros((1, n)), corners])
+
+    def spread(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Points (m, n) that fill the limits evenly, the mid-point first; values (m,) and gradients (m, n) there."""
+        if k not in self._spread:
+            drawn = qmc.Sobol(len(self.in_disc), seed=0).random(_BLOCK)[: _INSIDE - 1]
+            points = np.concatenate([np.zeros((1, drawn.shape[1])), self.project(2 * drawn - 1)])
+            self._spread[k] = points, *self.look(points, k, 1.0)
+        return self._spread[k]
+
+    def bends(self, k: int) -> bool:
+        """True if a slope changes its sign within the limits, or that along a disc turns by more than 90 degrees."""
+        if not len(self.in_disc):
+            return False
+        _, _, gradients = self.spread(k)
+        seen = np.where(np.abs(gradients) > _NO_SLOPE * np.abs(gradients).max(), gradients, 0.0)
+        both = (seen.max(axis=0) > 0) & (seen.min(axis=0) < 0)
+        discs = seen[:, self.in_disc].reshape(len(seen), -1, 2)
+        along = (discs * discs.sum(axis=0)).sum(axis=2)
+        return bool(both[~self.in_disc].any() or (along < 0).any())
+
+    def climbed(self, k: int, sign: float) -> tuple[np.ndarray, np.ndarray]:
+        """Places (m, n) and values (m,) after steps along the gradient from all points, each as long as it succeeds."""
+        points, values, gradients = self.spread(k)
+        values, gradients, step = sign * values, sign * gradients, np.full(len(points), _FIRST)
+        for _ in range(_CLIMB):
+            size = np.abs(gradients).max(axis=1)
+            ways = np.divide(gradients, size[:, None], out=np.zeros_like(gradients), where=size[:, None] > 0)
+            trial = self.project(points + step[:, None] * ways)
+            new, slopes = self.look(trial, k, sign)
+            better = new > values
+            points, gradients = (np.where(better[:, None], a, b) for a, b in ((trial, points), (slopes, gradients)))
+            values, step = np.where(better, new, values), step * np.where(better, _LONGER, _SHORTER)
+        return points, values
 
     def by_signs(
         self, points: np.ndarray, values: np.ndarray, gradients: np.ndarray, k: int, sign: float

@@ -26,6 +26,7 @@ from rvjax.commands.cells import (
     limits_of,
     met_text,
     price_text,
+    searched_texts,
     share,
     slope_text,
     together_text,
@@ -150,6 +151,7 @@ def limits_of_the_answer(answer: Answer) -> list[str]:
     study = answer.study
     lines = [f"Doubtful: {line}" for line in study.doubts]
     lines += [f"Assumed (not published): {assumed_text(study)}"] if study.assumed else []
+    lines += searched_texts(study, answer.allocation.tolerances)
     for name, values in answer.after.values.items():
         below = float(np.mean(np.asarray(values) < 0))
         if (meaning := study.output(name).below_zero) and below > 0:

@@ -4,7 +4,7 @@ import dataclasses
 import time
 from typing import Any
 
-from rvjax.commands.cells import evaluated, failures_text, met_text, share
+from rvjax.commands.cells import evaluated, failures_text, met_text, searched_texts, share
 from rvjax.commands.montecarlo.compute import Sampled
 from rvjax.commands.montecarlo.inputs import Inputs
 from rvjax.render import Column, Note, Number, Quantity, Report, Table, Text
@@ -79,6 +79,7 @@ def _verdicts(found: Statistics, study: Study) -> list[str]:
             value = evaluated(verdict, study.output(name)).text()
             met = met_text(study.requirements[name], verdict, found.samples)
             lines.append(f"{name}: {verdict.wanted}: {value}, {met}")
+    lines += searched_texts(study, study.tolerances)
     if found.joint_yield is not None:
         lines.append(f"all requirements at once {share(found.joint_yield).text()}")
     return lines

@@ -1,90 +1,44 @@
-"""Rare failures: the share of units beyond a limit, down to parts per million and below.
-
-Points of failure that like parts have in common: one found point, exchanged, turned and mirrored.
-
-The response is evaluated at each image; no symmetry of the failing region is assumed.
-"""
+"""Rare failures: the share of units beyond a limit, down to parts per million and below."""
 
 import dataclasses
 import math
-from collections.abc import Iterator
 
 import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.arguments import checked
-from rvjax.population import Correlation, Estimate, Population, deviate_of, rare, skewed, student, wilson
+from rvjax.population import Correlation, Estimate, Population, clopper_pearson, deviate_of, rare, skewed, student
 from rvjax.records import PyTree
 from rvjax.response import Response, by_name, by_response, response_names
-from rvjax.roots import bisect
 from rvjax.tolerances.failure.form import BATCH, LANES, Found, LimitState, Units, design_points
-from rvjax.tolerances.failure.importance_sampling import ISLANDS, Mixture, Sequential, apart, sequential
+from rvjax.tolerances.failure.images import orbit
+from rvjax.tolerances.failure.importance_sampling import Mixture, apart
+from rvjax.tolerances.failure.subset import (
+    INWARDS,
+    ISLANDS,
+    OUTWARDS,
+    Levels,
+    Sequential,
+    Spreads,
+    sequential,
+    together,
+)
 from rvjax.tolerances.requirements.kinds import Limits
-
-_SAME = 0.01  # failure begins at an image within this of where it begins at the point, relative: parts of one kind
-_ALIKE = 0.25  # the same for parts that differ a little
-_HALVINGS = 6
-_MATTERS = 0.3  # of the largest number of a point
-_FEW = 8  # numbers that matter; with more, a change of one sign is no separate failure mode
-
-
-def orbit(state: LimitState, point: np.ndarray, converged: bool) -> Found:
-    """Images of a point (numbers,) at which failure begins as well.
-
-    Images: the largest number exchanged with each other one, few large numbers of the other sign one at a time, fields
-    turned along axes of one length together (pins round a ring), and each of these through the origin. Where one
-    number alone makes the point, the parts may differ a little: failure then begins elsewhere on the ray to the image.
-    """
-    matter = np.flatnonzero(np.abs(point) > _MATTERS * np.abs(point).max())
-    images = np.stack(list(_images(state.units.population, point, matter)), axis=1)
-    images = np.unique(np.concatenate([images, -images], axis=1), axis=1)
-    exact = state.fails((1 - _SAME) * images) != state.fails((1 + _SAME) * images)
-    edges = images[:, :0] if len(matter) > 1 else _begins(state, images[:, ~exact])
-    points = np.concatenate([images[:, exact], edges], axis=1)
-    return Found(points, np.arange(points.shape[1]) < (exact.sum() if converged else 0))
-
-
-def _begins(state: LimitState, images: np.ndarray) -> np.ndarray:
-    """Points where failure begins on the rays to images (numbers, n), where these are near the images."""
-    near, far = np.full(images.shape[1], 1 - _ALIKE), np.full(images.shape[1], 1 + _ALIKE)
-    inside = state.fails(near * images)
-    begins = inside != state.fails(far * images)
-    images, near, far, inside = images[:, begins], near[begins], far[begins], inside[begins]
-    return images * bisect(lambda at: state.fails(at * images) == inside, near, far, steps=_HALVINGS)[1]
-
-
-def _images(population: Population, point: np.ndarray, matter: np.ndarray) -> Iterator[np.ndarray]:
-    largest = int(np.argmax(np.abs(point)))
-    for other in range(len(point)):
-        image = point.copy()
-        image[[largest, other]] = image[[other, largest]]
-        yield image
-    for number in matter if len(matter) <= _FEW else []:
-        image = point.copy()
-        image[number] *= -1
-        yield image
-    lengths = {length for tolerance in population.active.values() for length in tolerance.shape}
-    for length in sorted(lengths - {1}):
-        for turn in range(1, length):
-            yield _turned(population, point, length, turn)
-
-
-def _turned(population: Population, point: np.ndarray, length: int, turn: int) -> np.ndarray:
-    """Every field with an axis of this length, turned along it."""
-    image, start = point.copy(), 0
-    for name, tolerance in population.active.items():
-        stop, size = start + math.prod(tolerance.shape), population.numbers_by_field[name]
-        if length in tolerance.shape:
-            own = point[start:stop].reshape(tolerance.shape)
-            image[start:stop] = np.roll(own, turn, axis=tolerance.shape.index(length)).ravel()
-        start += size
-    return image
-
 
 _ROUNDS = 12  # most batches of searches
 _ORBITS = 4  # new points of a batch whose images are tried
 _HEAVY = 3.0  # mean weight of failed units of the second estimate, over that of the first, which makes them disagree
 _FEWEST_EFFECTIVE = 100
+_PLAIN = 4096  # units as they are made: they decide what is rare, and check the result
+_FREQUENT = 0.1  # share of the rarer event from which plain units estimate it best
+_CERTAIN = 0.999  # confidence of the interval of plain units that an estimate must meet
+_COUNTED = 30  # plain units of the event that are a better estimate than one in doubt
+_RAY = (2 / 3, 1 / 3)  # of a unit: it belongs to the event around the origin if these do as well
+_LEAST_CLOUD = 0.5  # share of a cloud in the draws
+_BEYOND = 1.05  # of a point: outside the event around the origin, but within any other that begins there
+_HITS = 0.02  # share of draws in the event below which points are a bad proposal
+_MISSED = 10.0  # ratio of the first draws to subset simulation over spreads, from which levels are tried
+_REACHED = 1e-12  # least probability that levels can reach in their steps
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,19 +47,21 @@ class FailureProbability:
 
     Attributes:
         probability: `Estimate` of the share of units beyond the limits or without a valid value.
-        reliability_index: distance of the nearest point of failure from the origin of the standard normal
-            numbers; -Phi^-1(P) if the limit is flat. Negative if the origin itself fails, inf without a point.
+        reliability_index: distance of the nearest limit from the origin of the standard normal numbers;
+            -Phi^-1(P) if the limit is flat. Negative if the origin itself fails, inf without a point.
         point: errors of that point, the most likely failure; None if none was found.
         evaluations: units evaluated in all; a value with its gradient counts as three.
-        effective_samples: (sum w)^2 / sum w^2 of the weights of the failed units; of the good ones if the origin fails.
+        effective_samples: (sum w)^2 / sum w^2 of the weights of the failed units; of the good ones if these are rare.
         points: points of failure that the sampling is centred at.
         second: `Estimate` of the same probability by subset simulation, which needs neither points nor
             slopes; its standard error is mostly 15 to 30 %.
         status: "OK", or warnings, joined by ", ": "FEW_EFFECTIVE_SAMPLES" (below 100),
-            "ESTIMATES_DISAGREE" (the second differs, or its failures lie where draws of the first are rare; with
-            either of these two, the interval of the probability contains both intervals),
+            "ESTIMATES_DISAGREE" (the second or the plain units differ, or the failures of the second lie where draws
+            of the first are rare; with either of these two, the interval of the probability contains both intervals),
+            "PLAIN_UNITS" (value and exact interval of plain units, because the estimates disagree or are weak),
             "SEVERAL_POINTS" (of similar distance: the flat-limit value Phi(-index) misses the others),
-            "KINKED_POINT" (no slope at the nearest point: the index may be a little too large), "NO_POINT".
+            "KINKED_POINT" (no slope at the nearest point: the index may be a little too large), "NO_POINT",
+            "RARE_NOMINAL" (the origin fails and most units do not, or the reverse: the index has no relation to P).
     """
 
     probability: PyTree
@@ -137,6 +93,8 @@ def failure_probability(
     nothing new, 12 batches at most. Images of a point by exchange of like parts are points too where the
     response fails there. Then units are sampled from unit normals centred there, each weighted by the ratio
     of the densities (Melchers 1989); a tenth is sampled about the origin, so that no weight exceeds 20.
+    A region around the origin, or smaller than these normals, is sampled from a normal fitted to its units.
+    Plain units decide first whether failing or passing is rare; both estimates are of the rare one.
     Where the two estimates disagree, the status is "ESTIMATES_DISAGREE" and the interval contains both.
 
     Args:
@@ -144,12 +102,13 @@ def failure_probability(
         tolerances: record or dict with a `Tolerance` or None in each field.
         requirement: `Requirement`, or a dict of them by name of the response, each evaluated separately;
             its target has no effect.
-        samples: units of the final draw; the second estimate and the searches add some 20 000 to 80 000 evaluations.
+        samples: units of the final draw; the second estimate and the searches add some 20 000 to 80 000 evaluations,
+            up to 200 000 for regions that are thin or around the origin.
         seed: of the random numbers.
         correlation: {(field or element, field or element): correlation of their z}.
 
     Returns:
-        `FailureProbability`. A unit without a valid value fails.
+        `FailureProbability`. A unit without a valid value fails; an infinite value is one, above all limits or below.
 
     Raises:
         ValueError: no requirement, or too few samples.
@@ -166,37 +125,47 @@ def failure_probability(
             raise ValueError(f"requirement[{name!r}] = {item!r}: must be a requirement on single units")
     found = {}
     for name, item in required.items():
-        search = _Search(Units(response, population, name), item)
-        found[name] = _searched(search, np.random.default_rng(seed), samples)
+        random = np.random.default_rng(seed)
+        search = _Search(Units(response, population, name), item, random)
+        found[name] = _searched(search, random, samples)
     return by_name(FailureProbability, found)
 
 
 def _searched(search: "_Search", random: np.random.Generator, samples: int) -> dict[str, PyTree]:
     """The fields of the result from the second estimate, the search and draws about its points."""
-    second = sequential(search.differ, search.numbers, random)
-    search.explore(random, second.failing)
+    second = search.second(random)
     mixture = search.mixture
     first, effective, typical = search.draw(random, samples)
-    reasons = mixture.reasons()
-    disagree, few = _disagree(first, second, mixture, typical), effective < _FEWEST_EFFECTIVE
-    reasons = ["FEW_EFFECTIVE_SAMPLES"] * few + ["ESTIMATES_DISAGREE"] * disagree + reasons
-    shown = _both(first, second.probability) if (disagree or few) and first.value > 0 else first
-    distance = float(mixture.distances.min()) if mixture.count else math.inf
+    few = effective < _FEWEST_EFFECTIVE
+    disagree = _disagree(first, second, mixture, typical) or search.contradicts(first)
+    reasons = ["FEW_EFFECTIVE_SAMPLES"] * few + ["ESTIMATES_DISAGREE"] * disagree
+    shown, plain = first, search.counted(0.95)
+    if search.contradicts(first) or ((disagree or few) and search.hits >= _COUNTED):
+        shown, reasons = plain, [*reasons, "PLAIN_UNITS"]
+    elif (disagree or few) and first.value > 0:
+        shown = _both(first, second.probability if second.probability.value else plain)
+    nearest = search.nominal if search.around else mixture
+    reasons += nearest.reasons() + ["RARE_NOMINAL"] * search.around
+    distance = float(nearest.distances.min()) if nearest.count else math.inf
     population = search.units.population
     return dict(
-        probability=_complement(shown) if search.middle_fails else shown,
+        probability=_of_failure(shown, search.good_is_rare),
         reliability_index=-distance if search.middle_fails else distance,
-        point=population.errors(jnp.asarray(mixture.centres[:, mixture.nearest])) if mixture.count else None,
+        point=population.errors(jnp.asarray(nearest.centres[:, nearest.nearest])) if nearest.count else None,
         evaluations=search.units.evaluations,
         effective_samples=effective,
         points=mixture.count,
-        second=_complement(second.probability) if search.middle_fails else second.probability,
+        second=_of_failure(second.probability, search.good_is_rare),
         status=", ".join(reasons) or "OK",
     )
 
 
-def _complement(share: Estimate) -> Estimate:
-    return Estimate(1 - share.value, share.error, 1 - share.upper, 1 - share.lower)
+def _of_failure(share: Estimate, good_is_rare: bool) -> Estimate:
+    """Probability of failure within 0 and 1, from the share of the rare event."""
+    value, lower, upper = np.clip([share.value, share.lower, share.upper], 0.0, 1.0).tolist()
+    if good_is_rare:
+        return Estimate(1 - value, share.error, 1 - upper, 1 - lower)
+    return Estimate(value, share.error, lower, upper)
 
 
 def _disagree(first: Estimate, second: Sequential, mixture: Mixture, typical: float) -> bool:
@@ -208,7 +177,7 @@ def _disagree(first: Estimate, second: Sequential, mixture: Mixture, typical: fl
     errors = math.hypot(first.error / first.value, second.probability.error / second.probability.value)
     if apart > student(0.99, ISLANDS) * errors:
         return True
-    return float(mixture.weights(second.failing).mean()) > _HEAVY * typical
+    return float(mixture.weights(second.units).mean()) > _HEAVY * typical
 
 
 def _both(first: Estimate, second: Estimate) -> Estimate:
@@ -225,21 +194,81 @@ def _widest(first: Estimate, second: Estimate) -> Estimate:
 class _Search:
     """The points of failure of all limits of one requirement, and the draws about them.
 
-    Where the origin itself fails, good units are the rare ones, and the search is for these.
+    The event that is sampled is the rarer one among plain units: failing, or passing.
     """
 
-    def __init__(self, units: Units, requirement: Limits) -> None:
+    def __init__(self, units: Units, requirement: Limits, random: np.random.Generator) -> None:
         self.units, self.requirement, self.numbers = units, requirement, units.population.numbers
         sides = [(requirement.upper, 1.0), (requirement.lower, -1.0)]
         self.states = [LimitState(units, limit, sign) for limit, sign in sides if math.isfinite(limit)]
-        self.mixture = Mixture(self.numbers)
-        self.middle_fails = False
-        self.middle_fails = bool(self.differ(np.zeros((self.numbers, 1)))[0])
+        self.mixture, self.nominal = Mixture(self.numbers), Mixture(self.numbers)
+        self.plain = random.standard_normal((self.numbers, _PLAIN))
+        self.values = units.values(self.plain)
+        failed = int((self._distance(self.values) < 0).sum())
+        self.good_is_rare = failed > _PLAIN / 2
+        self.hits = min(failed, _PLAIN - failed)
+        self.mixture.frequent = self.hits > _FREQUENT * _PLAIN
+        self.around = False
+        self.around = bool(self.differ(np.zeros((self.numbers, 1)))[0]) and not self.mixture.frequent
+        self.middle_fails = bool(self._distance(units.values(np.zeros((self.numbers, 1))))[0] < 0)
+
+    def _distance(self, values: np.ndarray) -> np.ndarray:
+        """Distance of values within the limits, negative outside; a unit without a value is furthest outside."""
+        return -np.where(np.isnan(values), math.inf, self.requirement.margin(values))
 
     def differ(self, z: np.ndarray) -> np.ndarray:
-        """Mark units (numbers, n) whose failure differs from the origin; a unit without a value fails."""
-        good = self.requirement.margin(self.units.values(z)) <= 0
-        return good if self.middle_fails else ~good
+        """Mark units (numbers, n) of the rare event; a unit without a value fails."""
+        return (self._distance(self.units.values(z)) < 0) != self.good_is_rare
+
+    def _inside(self, z: np.ndarray) -> np.ndarray:
+        """Distance (n,) of units (numbers, n) within the rare event."""
+        return self._distance(self.units.values(z)) * (1 if self.good_is_rare else -1)
+
+    def _parted(self, z: np.ndarray, around: bool) -> np.ndarray:
+        """Mark units of the rare event that are connected to the origin on their rays, or those that are not."""
+        found = self.differ(z)
+        if found.any():
+            own = z[:, found]
+            found[found] = np.all([self.differ(part * own) for part in _RAY], axis=0) == around
+        return found
+
+    def _elsewhere(self, z: np.ndarray) -> np.ndarray:
+        """Mark units of the rare event but for a part of it around the origin."""
+        return self._parted(z, False) if self.around else self.differ(z)
+
+    def counted(self, confidence: float) -> Estimate:
+        """Share of the rare event among plain units."""
+        return clopper_pearson(self.hits, _PLAIN, confidence)
+
+    def contradicts(self, share: Estimate) -> bool:
+        """True if plain units exclude an estimate of the share of the rare event."""
+        counted = self.counted(_CERTAIN)
+        return share.upper < counted.lower or share.lower > counted.upper
+
+    def second(self, random: np.random.Generator) -> Sequential:
+        """Subset simulation of the rare event; with its units the points and the proposal are found."""
+        found, around = sequential(Spreads(self._elsewhere, OUTWARDS), self.numbers, random), None
+        if self.around:
+            nearby = Spreads(lambda z: self._parted(z, True), INWARDS, self.differ)
+            around = sequential(nearby, self.numbers, random)
+        self.explore(random, found.units)
+        if around is not None and around.units.shape[1]:
+            part = around.probability.value / (around.probability.value + found.probability.value)
+            self.mixture.gather(around.units, max(part, _LEAST_CLOUD))
+            found = together(around, found, random)
+        if (not self.mixture.count and not found.units.shape[1]) or self.mixture.frequent:
+            return found
+        drawn = self.mixture.sample(random, BATCH)
+        hit = self.differ(drawn)
+        share = float(self.mixture.weights(drawn[:, hit]).sum()) / BATCH
+        thin = hit.mean() < _HITS  # a part of the event smaller than a unit normal, which spreads may miss
+        if thin or share > max(_REACHED, _MISSED * found.probability.value):
+            levels = sequential(Levels(self._inside, self.differ), self.numbers, random)
+            pool = np.concatenate([found.units, levels.units], axis=1)
+            found = max(found, levels, key=lambda one: one.probability.value)  # each can only miss a part
+            if thin and pool.shape[1] and not self.around:
+                self.mixture.gather(pool, _LEAST_CLOUD)
+        return found
 
     def explore(self, random: np.random.Generator, differing: np.ndarray) -> None:
         """Find the points: from plain units near a limit, then from failures far from every point.
@@ -247,14 +276,16 @@ class _Search:
         Failures come from the second estimate and from draws of the current mixture; each starts searches in
         proportion to its weight. Ends when a batch of searches finds nothing new.
         """
-        plain = random.standard_normal((len(differing), BATCH))
-        values = self.units.values(plain)
         for state in self.states:
-            order = np.argsort(np.nan_to_num(np.abs(state.g(values)), nan=math.inf))
-            self._take(state, design_points(state, plain[:, order[:LANES]], differing))
+            order = np.argsort(np.nan_to_num(np.abs(state.g(self.values)), nan=math.inf))
+            found = design_points(state, self.plain[:, order[:LANES]], differing)
+            if self.around:  # where the event ends: it gives the index, but is no place to sample
+                self.nominal.add(found)
+            else:
+                self._take(state, found)
         for _ in range(_ROUNDS):
             drawn = self.mixture.sample(random, BATCH)
-            pool = np.concatenate([differing, drawn[:, self.differ(drawn)]], axis=1)
+            pool = np.concatenate([differing, drawn[:, self._elsewhere(drawn)]], axis=1)
             if not pool.shape[1]:
                 break
             weights = self.mixture.weights(pool)
@@ -265,13 +296,16 @@ class _Search:
             for state in self.states:
                 # A unit without a value fails at every limit.
                 lost = np.isnan(values) if state is self.states[0] else False
-                own = np.full(count, True) if self.middle_fails else (state.g(values) > 0) | lost
+                own = np.full(count, True) if self.good_is_rare else (state.g(values) > 0) | lost
                 new |= self._take(state, design_points(state, starts[:, own], pool))
             if not new:
                 break
 
     def _take(self, state: LimitState, found: Found) -> bool:
         """Add points and what their exchange of like parts leads to; whether anything was new."""
+        if self.around:
+            begins = self.differ(_BEYOND * found.points)
+            found = Found(found.points[:, begins], found.converged[begins])
         new = self.mixture.add(found)
         images = np.zeros((len(new), 0))
         for point in new[:, np.argsort(np.linalg.norm(new, axis=0))][:, :_ORBITS].T:
@@ -283,7 +317,7 @@ class _Search:
         return new.shape[1] > 0
 
     def draw(self, random: np.random.Generator, samples: int) -> tuple[Estimate, float, float]:
-        """Share of units that differ from the origin, its effective samples and the mean weight of these units."""
+        """Share of units of the rare event, its effective samples and the mean weight of these units."""
         total, squares, cubes, hits, unit = 0.0, 0.0, 0.0, 0, 0.0
         for start in range(0, samples, BATCH):
             z = self.mixture.sample(random, min(BATCH, samples - start))
@@ -294,8 +328,8 @@ class _Search:
             total, squares, cubes = (have + float((seen**k).sum()) for k, have in enumerate((total, squares, cubes), 1))
             hits += len(seen)
         if not hits:
-            plain = max(1, int(samples * self.mixture.plain))
-            return dataclasses.replace(wilson(0, plain, 0.95), error=0.0), 0.0, math.inf
+            plain = _PLAIN + int(samples * self.mixture.plain)
+            return clopper_pearson(self.hits, plain, 0.95), 0.0, math.inf
         if not total:  # beyond 38 standard deviations: below the smallest number
             return Estimate(0.0, 0.0, 0.0, np.finfo(float).tiny), 0.0, math.inf
         share = total / samples

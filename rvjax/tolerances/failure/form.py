@@ -14,7 +14,7 @@ from scipy import special
 from rvjax.population import Population
 from rvjax.response import Response, evaluate, per_response, respond
 from rvjax.roots import bisect
-from rvjax.status import succeeded
+from rvjax.status import Status, succeeded
 
 LANES = 32
 """Searches at once."""
@@ -40,14 +40,16 @@ class Units:
     evaluations: int = 0
 
     def values(self, z: np.ndarray) -> np.ndarray:
-        """Values (n,) of units (numbers, n), nan where a unit has none."""
+        """Values (n,) of units (numbers, n), nan where a unit has none; an infinite value is a value."""
         self.evaluations += z.shape[1]
         found = np.full(z.shape[1], np.nan)
         for start in range(0, z.shape[1], BATCH):
             part = z[:, start : start + BATCH]
             padded = np.pad(part, ((0, 0), (0, BATCH - part.shape[1])))
             values, status = respond(self.response, self.population, jnp.asarray(padded, jnp.result_type(float)))
-            valid = np.where(succeeded(np.asarray(status)), np.asarray(values[self.name], float), np.nan)
+            numbers, ended = np.asarray([values[name] for name in sorted(values)], float), np.asarray(status)
+            infinite = (ended == int(Status.NONFINITE)) & ~np.isnan(numbers).any(axis=0)  # such as a life without load
+            valid = np.where(succeeded(ended) | infinite, np.asarray(values[self.name], float), np.nan)
             found[start : start + BATCH] = valid[: part.shape[1]]
         return found
 

@@ -19,7 +19,7 @@ from rvjax.tolerances.requirements.limits import Verdict
 
 DRAWS = 8  # certificates in one search; every one is a new chance to pass by luck
 _RARE = 20_000, 200_000  # units behind a probability of failure
-_TRUSTED = {"OK", "SEVERAL_POINTS", "KINKED_POINT"}  # the latter two concern the reliability index alone
+_TRUSTED = {"OK", "SEVERAL_POINTS", "KINKED_POINT", "RARE_NOMINAL"}  # all but OK concern the reliability index alone
 _LEAST = 1e-3  # least step of a shrinking half-width, relative
 _WORTH, _ROOM = 2e-3, 0.1  # least margin in half-widths for another certificate, and the most of it to use
 
