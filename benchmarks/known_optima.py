@@ -1,4 +1,4 @@
-"""Allocations compared with optima that are known without sampling: the table of docs/tolerances.md.
+"""Allocations compared with optima that are known without sampling: a table of docs/optimum.md.
 
 python -m benchmarks.known_optima [--only NAME] [--certificate 16e6]
 """

@@ -106,10 +106,21 @@ def test_every_key_of_a_study_is_explained():
     text = (DOCS / "study.md").read_text("utf-8")
     keys = ["lower", "upper", "half_width", "grade", "size", "distribution", "cp", "shift", "batch", "beta", "model"]
     keys += ["fixed", "scale", "finest", "coarsest", "reference", "power", "decay", "response", "target", "base"]
-    keys += ["cost", "per", "seed", "samples", "certificate_samples"]
+    keys += ["cost", "per", "price", "at", "seed", "samples", "certificate_samples"]
     for key in keys:
         assert f"`{key}`" in text, key
-    for table in ("accuracy", "assembly", "conditions", "cost", "design", "[duty]", "requirement", "run", "tolerances"):
+    for table in (
+        "accuracy",
+        "assembly",
+        "conditions",
+        "cost",
+        "design",
+        "[duty]",
+        "loss",
+        "requirement",
+        "run",
+        "tolerances",
+    ):
         assert f"## `[{table}" in text, table
 
 

@@ -123,7 +123,7 @@ def test_a_bound_with_a_small_price_is_named():
 
 
 def test_an_end_is_confirmed_where_the_sample_moves_as_its_slopes_predict():
-    """Units beyond a b of 20 um fail, 0.27 % of all; at 1.1 times its half-width 0.66 %, of the 1 % that may be rejects."""
+    """Units beyond a b of 20 um fail, 0.27 % of all; of a tenth wider b 0.66 %, of the 1 % that may be rejects."""
 
     def ends(edge):
         response = Failing({"a": 1.0, "b": 0.0}, {"a": 1.0, "b": edge})

@@ -73,16 +73,11 @@ def allocate(
 ) -> Allocation:
     """The cheapest half-widths with every requirement met: shares of units, means, capabilities.
 
-    Changing a half-width scales the limits about their mid-point; shift and cp stay. One sample of units serves all
-    steps. Each step models every constraint as a root sum of squares with the sampled margins and slopes. The model
-    is separable: prices of the constraints that maximise its dual function give its optimum in a trust region. The
-    step is accepted if the sampled cost and violation fall. Where an audit finds that derivatives mislead,
-    differences along rays take their place. A larger sample corrects the margins once, unless units are costly: of
-    these only units that decide are solved. Independent units then certify the result: a value counts by the worse
-    end of its confidence interval, and half-widths are tightened where that costs least until it holds.
-
-    With `middles`, `variables`, `objective` or a `Nominal` requirement a sequential quadratic programme finds all
-    decisions together (docs/codesign.md).
+    Changing a half-width scales the limits about their mid-point; shift and cp stay. A sequential quadratic programme
+    finds all decisions together: quantiles of units in the tails and their gradients are its constraints. Costly units
+    with limits on shares alone are followed from one set of half-widths to the next instead. Where an audit finds that
+    derivatives mislead, differences along rays take their place. Independent units certify the result: a value counts
+    by the worse end of its confidence interval, and what a certificate sees corrects the search (docs/optimum.md).
 
     Args:
         response: pure function of the errors of one unit; a scalar, a dict or record of scalars, or `Outcome`.
