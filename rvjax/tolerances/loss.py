@@ -37,7 +37,7 @@ class QuadraticLoss(Record):
     def expected(self, mean: Estimate, sd: Estimate, deviate: float) -> Estimate:
         """Mean loss of units by the statistics of their response: price (sd^2 + (mean - target)^2)/at^2.
 
-        The errors of both add up, whatever their correlation is.
+        The errors of both add up: no correlation makes the true one larger.
 
         Args:
             mean: of the response.

@@ -7,7 +7,6 @@ import math
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.stats import qmc
 
 from rvjax._jax.arguments import checked
 from rvjax._jax.batching import in_blocks
@@ -210,6 +209,8 @@ class _Search:
     def spread(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Points (m, n) that fill the limits evenly, the mid-point first; values (m,) and gradients (m, n) there."""
         if k not in self._spread:
+            from scipy.stats import qmc  # slow to import
+
             drawn = qmc.Sobol(len(self.in_disc), seed=0).random(_BLOCK)[: _INSIDE - 1]
             points = np.concatenate([np.zeros((1, drawn.shape[1])), self.project(2 * drawn - 1)])
             self._spread[k] = points, *self.look(points, k, 1.0)

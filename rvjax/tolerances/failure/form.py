@@ -189,7 +189,8 @@ def _search(state: LimitState, starts: np.ndarray) -> tuple[np.ndarray, np.ndarr
 def _goal(z: np.ndarray, g: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rackwitz and Fiessler 1978: z' = (slope . z - g) slope / |slope|^2, nan without slope; and |slope|."""
     square = np.sum(slope**2, axis=0)
-    square = np.where(square > 0, square, np.nan)
+    square = np.where((square > 0) & np.isfinite(g), square, np.nan)
+    g = np.where(np.isfinite(g), g, np.nan)
     return slope * (np.sum(slope * z, axis=0) - g) / square, np.sqrt(square)
 
 
