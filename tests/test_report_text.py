@@ -37,7 +37,8 @@ def allocation(**changes):
 def headline(**changes):
     target = changes.pop("target", None)
     study = SimpleNamespace(
-        name="s", about=About(), joint_target=target, losses={}, output=lambda name: SimpleNamespace(shown=("arcmin", arcmin)),
+        name="s", about=About(), joint_target=target, losses={},
+        output=lambda name: SimpleNamespace(shown=("arcmin", arcmin)),
         requirements=dict.fromkeys(("error", "met", "lost"), Requirement(upper=1 * arcmin)),
         assumed_limits=(), assumed=[],
     )  # fmt: skip

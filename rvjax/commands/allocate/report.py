@@ -139,6 +139,7 @@ def losses_of(answer: Answer) -> list[str]:
         priced = f"{float(loss.price):g} for {at} off {target}"
         lines.append(f"mean loss of {name} ({priced}): {before.value:.3f} -> {after.value:.3f}, {_ends(after)}")
     whole = allocation.objective
+    assert whole is not None
     return [*lines, f"cost with losses {sums[0]:.3f} -> {whole.value:.3f}, {_ends(whole)}"]
 
 

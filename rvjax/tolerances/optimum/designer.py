@@ -219,7 +219,7 @@ class Designer:
 
     @property
     def _stationary(self) -> float:
-        """Largest residual of an optimum; ends of costly units with losses and 0.07 to 0.1 were up to 2 % too dear."""
+        """Largest residual of an optimum; with losses, costly ends with 0.07 to 0.1 were 2 % above the least."""
         return STATIONARY / 2 if self.problem.costly and self.problem.losses else STATIONARY
 
     def _learned(self, margins: Margins, end: End) -> float:

@@ -51,8 +51,8 @@ class HalfWidths:
         rounding = Rounding(self.search, self.certifier, self.problem.priced)
         t, grades, certificate = rounding.graded(found.decisions.half_widths(found.x), found.certificate)
         status = "OPTIMAL" if self.certifier.holds(certificate) and found.exact else "NOT_CERTIFIED"
-        there = dict(x=found.decisions.with_half_widths(found.x, t), certificate=certificate, status=status)
-        return dataclasses.replace(found, **there, cost=found.cost + self._dearer(found, t)), grades
+        x, cost = found.decisions.with_half_widths(found.x, t), found.cost + self._dearer(found, t)
+        return dataclasses.replace(found, x=x, certificate=certificate, status=status, cost=cost), grades
 
     def _dearer(self, found: Found, half_widths: np.ndarray) -> float:
         return self.search.cost(half_widths) - self.search.cost(found.decisions.half_widths(found.x))

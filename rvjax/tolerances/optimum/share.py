@@ -17,7 +17,7 @@ class Share:
     target: float
 
 
-def share_of(name: str, item: Requirement, values: np.ndarray) -> Share:
+def share_of(name: str, item: Limits, values: np.ndarray) -> Share:
     """Units of one limit, of which nan failed.
 
     Args:
@@ -25,6 +25,7 @@ def share_of(name: str, item: Requirement, values: np.ndarray) -> Share:
         item: its limit.
         values: (n,) of the units.
     """
+    assert isinstance(item, Requirement)
     outward = np.where(np.isnan(values), 0.0, item.outward(values))
     return Share(item.margins(values), {name: outward}, item.target)
 
