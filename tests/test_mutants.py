@@ -1,6 +1,7 @@
 """The table of mutants fits the tree, and the page shows the score of the last `python -m census.mutants`."""
 
 import ast
+import functools
 import itertools
 import json
 import re
@@ -32,6 +33,13 @@ def selected(tests: str) -> list[str]:
     """
     path, *rest = shlex.split(tests)
     assert not rest or (rest[0] == "-k" and len(rest) == 2), tests
+    defined = _defined(path)
+    functions = [item for name, item in defined.items() if name.startswith("test_")]
+    return [item.name for item in functions if not rest or _may_match(item, path, defined, rest[1])]
+
+
+@functools.cache
+def _defined(path: str) -> dict[str, ast.AST]:
     defined = {}
     for item in ast.parse((ROOT / path).read_text("utf-8")).body:
         names = [t.id for t in getattr(item, "targets", ()) if isinstance(t, ast.Name)]
@@ -39,18 +47,24 @@ def selected(tests: str) -> list[str]:
             whole = ast.parse((ROOT / "tests" / f"{item.module}.py").read_text("utf-8"))
             defined |= {alias.name: whole for alias in item.names}
         defined |= dict.fromkeys([item.name] if hasattr(item, "name") else names, item)
-    functions = [item for name, item in defined.items() if name.startswith("test_")]
-    return [item.name for item in functions if not rest or _may_match(item, path, defined, rest[1])]
+    return defined
+
+
+@functools.cache
+def _text(part: ast.AST) -> str:
+    return ast.unparse(part).lower()
 
 
 def _may_match(test: ast.FunctionDef, path: str, defined: dict[str, ast.AST], words: str) -> bool:
+    sure = f"{test.name} {path}".lower()
+    if Expression.compile(words).evaluate(lambda word, **_: word.lower() in sure):
+        return True
     waiting = [*test.decorator_list, *(defined[a.arg] for a in test.args.args if a.arg in defined)]
     ids, seen = "", set()
     while waiting:
-        ids += ast.unparse(part := waiting.pop()).lower()
+        ids += _text(part := waiting.pop())
         names = {node.id for node in ast.walk(part) if isinstance(node, ast.Name)} & set(defined) - seen
         waiting, seen = waiting + [defined[name] for name in names], seen | names
-    sure = f"{test.name} {path}".lower()
     asked = set(re.findall(r"[\w.-]+", words.lower())) - {"and", "or", "not"}
     some = [word for word in asked if word not in sure and word in ids]  # of one case, maybe not of another
     choices = itertools.product((True, False), repeat=len(some))
