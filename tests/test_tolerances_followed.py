@@ -3,6 +3,8 @@
 Oracles: every unit solved; the normal law, by which the yield of certified half-widths is known exactly.
 """
 
+from types import SimpleNamespace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,12 +12,13 @@ import pytest
 from scipy import stats
 
 from rvjax import tolerances
-from rvjax.population import Population
+from rvjax.population import Estimate, Population, wilson
 from rvjax.response import Part, elements, gradients, status_without_errors
 from rvjax.roots import solved
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, ReciprocalPower, Requirement, Tolerance, allocate
 from rvjax.tolerances.batch.memo import Memo
+from rvjax.tolerances.optimum.certificate import Certifier
 from rvjax.tolerances.optimum.followed import Followed
 from rvjax.tolerances.optimum.sample_average import Training
 
@@ -314,3 +317,20 @@ def test_an_interrupted_search_goes_on_to_the_same_bits(monkeypatch, tmp_path):
     assert again_solved in (0, 1) and calls[0] > 2  # nothing twice, but for what gradients of the last set need
     assert (again.cost, again.half_widths, again.history) == (whole.cost, whole.half_widths, whole.history)
     assert again.certificate.yield_ == whole.certificate.yield_
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_limit_moves_to_the_unit_at_which_costly_units_would_prove_it(known):
+    """1000 units spread evenly from 0.114 to 1.114, limit 1, target 92 %; of other units the share alone tells."""
+    values = {"y": np.linspace(0.0, 1.0, 1000) + 0.114}
+    run = SimpleNamespace(requirements={"y": Requirement(upper=1.0, target=0.92)}, samples=1000, confidence=0.95)
+    seen = Estimate(0.886, 0.01, 0.865, 0.905)
+    certifier = Certifier(run, None, units=object() if known else None)
+    statistics = SimpleNamespace(verdicts={"y": SimpleNamespace(estimate=seen)}, values=values)
+    found = certifier.exact_factors(statistics, np.array([0.5]))
+    enough = next(k for k in range(920, 1001) if wilson(k, 1000, 0.95).lower >= 0.92)
+    margin = values["y"][enough - 1] - 1.0
+    if known:
+        assert margin > 0.04 and found == pytest.approx([0.5 / (0.5 + margin)])
+    else:
+        assert found == certifier.factors(statistics, np.array([0.5]))

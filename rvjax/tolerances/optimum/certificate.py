@@ -14,14 +14,15 @@ from rvjax.tolerances.failure.failure import failure_probability
 from rvjax.tolerances.optimum.followed import WRONG, Followed
 from rvjax.tolerances.optimum.sample_average import Point
 from rvjax.tolerances.optimum.search import Search
-from rvjax.tolerances.requirements.factors import CUSHION, share_factor
+from rvjax.tolerances.requirements.factors import CUSHION, MOST_FACTOR, bounded, share_factor
 from rvjax.tolerances.requirements.limits import Verdict
 
 DRAWS = 8  # certificates in one search; every one is a new chance to pass by luck
 _RARE = 20_000, 200_000  # units behind a probability of failure
 _TRUSTED = {"OK", "SEVERAL_POINTS", "KINKED_POINT", "RARE_NOMINAL"}  # all but OK concern the reliability index alone
 _LEAST = 1e-3  # least step of a shrinking half-width, relative
-_WORTH, _ROOM = 2e-3, 0.1  # least margin in half-widths for another certificate, and the most of it to use
+WORTH = 2e-3  # least margin in half-widths for another certificate
+_ROOM = 0.1  # the most of it to use
 
 
 @dataclasses.dataclass
@@ -104,6 +105,20 @@ class Certifier:
             found.append(share_factor(statistics.joint_yield, self.joint_target, n, z))
         return np.array(found)
 
+    def exact_factors(self, statistics: Statistics, distance: np.ndarray) -> np.ndarray:
+        """`factors` by the unit at which costly units would just prove each limit, where these are kept.
+
+        A lost motion whose units without errors lie at the limit does not follow a common factor on all half-widths.
+        """
+        found = self.factors(statistics, distance)
+        for k, (name, item) in enumerate(self.run.requirements.items()):
+            if self.units is None or statistics.values is None:
+                continue
+            margin = item.certified_margin(statistics.values[name], deviate_of(self.run.confidence)) / distance[k]
+            if math.isfinite(margin):
+                found[k] = bounded(1 / max(margin + 1, 1 / MOST_FACTOR))
+        return found
+
     def of_failures(self, statistics: Statistics) -> float:
         """Common factor after which few enough units should fail for statistics of the valid units to count."""
         n, most = statistics.samples, min(item.most_failed for item in self.run.requirements.values())
@@ -132,7 +147,7 @@ class Certifier:
         """
         training = search.training
         factors = np.minimum(self.factors(statistics, training.distance), 1 + _ROOM)
-        if not self.holds(statistics) or factors.min() < 1 + _WORTH:
+        if not self.holds(statistics) or factors.min() < 1 + WORTH:
             return half_widths, statistics
         wider = search.loosened_to(point, half_widths, np.sqrt(factors))
         if np.array_equal(wider, half_widths):

@@ -10,13 +10,13 @@ import dataclasses
 import numpy as np
 
 from rvjax.tolerances.batch.monte_carlo import Statistics
-from rvjax.tolerances.optimum.certificate import DRAWS, Certifier
+from rvjax.tolerances.optimum.certificate import DRAWS, WORTH, Certifier
 from rvjax.tolerances.optimum.decisions import Decisions
 from rvjax.tolerances.optimum.found import Found, status_of
 from rvjax.tolerances.optimum.problem import Problem
 from rvjax.tolerances.optimum.rounding import Rounding
 from rvjax.tolerances.optimum.sample_average import Point, Training
-from rvjax.tolerances.optimum.search import Search
+from rvjax.tolerances.optimum.search import SETTLED, Search
 
 
 class HalfWidths:
@@ -93,13 +93,19 @@ class HalfWidths:
         return best, certificate
 
     def _aimed(self, point: Point, start: np.ndarray) -> tuple[np.ndarray, Statistics]:
-        """Certified set where smaller half-widths do not help: correct the sample by a certificate, search again."""
+        """Certified set where smaller half-widths do not help: correct the sample by a certificate, search again.
+
+        A limit that held gives back half of its room: with all of it, one of several limits fails each time.
+        """
         training, certifier = self.training, self.certifier
+        self.search.settled = SETTLED  # a miss of half a percent has to move the search
         certificate = certifier.draw(training.with_half_widths(point.half_widths))
         for _ in range(DRAWS - 1):
             if certifier.holds(certificate) or certifier.hopeless():
                 break
-            told = training.correct(point, certifier.factors(certificate, training.distance), relax=False)
+            factors = certifier.exact_factors(certificate, training.distance)
+            factors = np.where(factors < 1, (1 - WORTH) * factors, np.sqrt(factors))
+            told = training.correct(point, factors)
             point, _ = self.search.find(told, start)
             certificate = certifier.draw(training.with_half_widths(point.half_widths))
         return point.half_widths, certificate

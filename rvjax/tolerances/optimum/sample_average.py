@@ -182,17 +182,16 @@ class Training:
             weights[-1] = (np.eye(len(values))[leading[units]] / self.scales).mean(axis=0)
         return Point(half_widths, self._corrected(margins), self.correction[:, None] * np.stack(slopes), weights)
 
-    def correct(self, point: Point, factors: np.ndarray, *, relax: bool = True) -> Point:
+    def correct(self, point: Point, factors: np.ndarray) -> Point:
         """Learn from a larger sample that half-widths times `factors` would just meet each target.
 
         A few thousand units give a far quantile to a percent or two only. From now on the distance of each
-        active constraint from the nominal response is scaled by the result of the larger sample at `point`. Without
-        `relax` none becomes longer: of several limits one would fail where the last one held.
+        active constraint from the nominal response is scaled by the result of the larger sample at `point`.
         """
         reach = np.maximum((point.margins + self.distance) / self.distance, 1e-3)
         seen = 1 / (factors * reach)
         active = (reach > 0.9) & (np.abs(np.log(seen)) < 0.2)
-        ratio = np.where(active, seen if relax else np.maximum(seen, 1.0), 1.0)
+        ratio = np.where(active, seen, 1.0)
         self.correction = self.correction * ratio
         margins = ratio * (point.margins + self.distance) - self.distance
         return dataclasses.replace(point, margins=margins, slopes=ratio[:, None] * point.slopes)
