@@ -150,11 +150,14 @@ class Designer:
         """End of a search; where it misses a limit without sampling error by a step's accuracy, that limit moves in."""
         end = self._run_once(margins, x, radius, curvature)
         for _ in range(_TIMES):
-            missed = np.maximum(margins.missed(end.point), 0.0)
+            missed, given = np.maximum(margins.missed(end.point), 0.0), margins.offsets.copy()
             if not 0 < missed.max(initial=0.0) < _MET:
                 break
             margins.offsets[margins.exact] += 2 * missed * margins.ways[margins.exact]
             end = self._run_once(margins, end.point.x, _AGAIN, end.curvature)
+            if margins.missed(end.point).max() > missed.max() / 2:  # nothing meets it: it stays where it was
+                margins.offsets[:] = given
+                break
         return end
 
     def _run_once(self, margins: Margins, x: np.ndarray, radius: float, curvature: np.ndarray | None) -> End:
@@ -205,7 +208,11 @@ class Designer:
         x = end.point.x
         if kept is None and not certifier.hopeless():
             x, certificate = self._tightened(x, certificate)
-        cost, loss, stationary = margins.total(x), margins.loss(x), end.residual <= self._stationary
+        cost, loss, stationary = (
+            margins.total(x),
+            margins.losses.look(x, sloped=False)[0],
+            end.residual <= self._stationary,
+        )
         exact = not (margins.missed(end.point) > _EXACTLY).any()
         status = status_of(
             certified=certifier.holds(certificate) and end.excess <= _MET, exact=exact, cost=cost + loss,

@@ -22,6 +22,7 @@ from rvjax.tolerances.optimum.anchor import Anchor, AnchoredUnits
 from rvjax.tolerances.optimum.decisions import Decisions
 from rvjax.tolerances.optimum.limit_lines import LimitLines
 from rvjax.tolerances.optimum.local import Local
+from rvjax.tolerances.optimum.mean_loss import MeanLoss
 from rvjax.tolerances.optimum.nominal import NominalOutputs
 from rvjax.tolerances.optimum.share import Share, joint_share, share_of
 from rvjax.tolerances.optimum.sides import sides, size
@@ -71,7 +72,6 @@ class Margins:
         The mean of `losses` is part of the objective. Costly units behind it are few, and followed as those in the
         tails are.
         """
-        self.losses = dict(losses or {})
         self.decisions, self.requirements, self.objective = decisions, requirements, objective
         self.joint_target, self.samples, self.seed = joint_target, samples, seed
         self.response = response
@@ -97,15 +97,13 @@ class Margins:
         self.tails = TailSample(numbers, samples, seed)
         self._centres: dict[int, Centres] = {}
         self.lines: dict[int, LimitLines] = {}
-        self._lossy = AnchoredUnits(response, decisions, set(self.losses), memo)
-        self._loss_z = SobolPoints(numbers, seed).z(0, lossy) if self.losses else np.zeros((numbers, 0))
-        self._loss_anchors: dict[bytes, Anchor | None] = {}
+        self.losses = MeanLoss(response, decisions, losses or {}, lossy, seed, memo)
         self.plain = SobolPoints(numbers, seed).z(0, samples) if self._plain else np.zeros((numbers, 0))
 
     @property
     def evaluated(self) -> int:
         """Units that the search has solved."""
-        return self._units.evaluated + self._lossy.evaluated
+        return self._units.evaluated + self.losses.evaluated
 
     # The sample.
 
@@ -185,9 +183,7 @@ class Margins:
             distance = np.where(np.isnan(distance), np.inf, distance)
             away |= {name: np.minimum(away.get(name, np.inf), distance) for name in shared.outward}
         self._units.drop(x, self.tails.z, away)
-        if self.losses:
-            self._lossy.drop(x, self._loss_z, {name: np.zeros(self._loss_z.shape[1]) for name in self.losses})
-            self._loss_anchors[x.tobytes()] = self._lossy.anchor
+        self.losses.follow(x)
 
     @property
     def anchor(self) -> Anchor | None:
@@ -197,7 +193,7 @@ class Margins:
     @anchor.setter
     def anchor(self, anchor: Anchor | None) -> None:
         self._units.anchor = anchor
-        self._lossy.anchor = None if anchor is None else self._loss_anchors.get(anchor.x.tobytes())
+        self.losses.follow_from(None if anchor is None else anchor.x)
 
     def _row(self, k: int) -> int:
         return k if k < self._shares else len(self.names) - 1
@@ -222,30 +218,12 @@ class Margins:
         slopes, bends = decisions.cost_slopes(x)
         priced = sum(price * outputs[name] for name, price in self.objective.items())
         towards = sum((p * decisions.by_number(rates[name]) for name, p in self.objective.items()), np.zeros(n))
-        loss, pulled = self._look_at_losses(x, population, sloped)
+        loss, pulled = self.losses.look(x, sloped=sloped)
         margins = (margins + self.offsets) / self.ways
         return Local(
             x, decisions.cost(x), slopes, bends, float(priced) + loss, towards + pulled, margins,
             jacobian / self.ways[:, None], self.offsets / self.ways,
         )  # fmt: skip
-
-    def _look_at_losses(self, x: np.ndarray, population: Population, sloped: bool) -> tuple[float, np.ndarray]:
-        """Mean loss of the units that do not fail, inf where all do, and its derivatives (n,)."""
-        total, towards = 0.0, np.zeros(self.decisions.size)
-        values = self._lossy.values(x, self._loss_z, "tails") if self.losses else {}
-        for name, loss in self.losses.items():
-            units = np.flatnonzero(np.isfinite(values[name]))
-            if not len(units):
-                return math.inf, towards
-            total += float(np.mean(loss(values[name][units])))
-            if sloped:
-                pull = {name: np.asarray(loss.slope(values[name][units])) / len(units)}
-                towards += self._lossy.slope(x, population, self._loss_z[:, units], pull, units)
-        return total, towards
-
-    def loss(self, x: np.ndarray) -> float:
-        """Mean loss at a vector of decisions."""
-        return self._look_at_losses(x, self.decisions.population(x), sloped=False)[0]
 
     def missed(self, point: Local) -> np.ndarray:
         """Excess (e,) of the limits without sampling error, in parts of their ways."""
