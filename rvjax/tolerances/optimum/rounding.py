@@ -19,6 +19,7 @@ from rvjax.tolerances.optimum.search import BEYOND, RADIUS, Search
 from rvjax.tolerances.requirements.factors import CUSHION
 
 _DRAWS = 2  # certificates of one set of grades, whose free fields shrink between them
+_LAST = 5  # of the set that is left where no cheaper one holds
 _EXCHANGES = 6  # certificates of exchanged grades, at most
 _TRIED = 12  # sets of exchanged grades evaluated on the learning sample, at most, after each accepted set
 _MOVES = 5000  # sets of three or four exchanged grades evaluated on the model, at most
@@ -81,6 +82,11 @@ class Rounding:
             trial = {**places, j: places[j] + 1}
         fields = list(self.priced)
         certificate = proof or self.certifier.draw(self.training.with_half_widths(best))
+        if not self.certifier.holds(certificate) and len(places) < len(self.priced):  # finer need not be better
+            self.known.append((best, certificate))
+            found, drawn = self.certified(places, best, most=math.inf)
+            if drawn is not None and self.certifier.holds(drawn):
+                best, certificate = found, drawn
         if self.certifier.holds(certificate):
             places, best, certificate = self.exchanged(places, best, certificate)
         return best, {fields[j]: self.ladders[j][place][0] for j, place in places.items()}, certificate
@@ -134,12 +140,14 @@ class Rounding:
         return cheapest(self.costs, point, self.training.distance, self.training.powers, low, high)[0]
 
     def certified(
-        self, places: Places, half_widths: np.ndarray, beyond: float = BEYOND
+        self, places: Places, half_widths: np.ndarray, beyond: float = BEYOND, most: float | None = None
     ) -> tuple[np.ndarray, Statistics | None]:
         """The free fields fitted to some grades, and a certificate unless it is foreseen that it would not hold.
 
-        `beyond` a limit by more than this part of the way there, the learning sample alone decides.
+        `beyond` a limit by more than this part of the way there, the learning sample alone decides. They cost less than
+        `most`; None: than the half-widths.
         """
+        dearest, most = (self.dearest(half_widths), self.cost(half_widths)) if most is None else (most, most)
         t, free = self.at(places, half_widths), len(places) < len(self.priced)
         search = Search(self.training, self.priced, self.max_steps)
         if free:
@@ -149,16 +157,16 @@ class Rounding:
             finest = predicted(point, self.training.distance, self.training.powers, search.low[None])
             if not (finest <= 1 + beyond).all():
                 return t, None
-            point, _ = search.run(point, self.dearest(half_widths))
-            if self.cost(search.model_optimum(point, RADIUS)[0]) > self.dearest(half_widths):
+            point, _ = search.run(point, dearest)
+            if self.cost(search.model_optimum(point, RADIUS)[0]) > dearest:
                 return t, None
             t = point.half_widths
         drawn: Statistics | None = None
-        for _ in range(_DRAWS if free else 1):
+        for _ in range((_LAST if math.isinf(most) else _DRAWS) if free else 1):
             if free and (ways := self.foreseen(t)).max() > 1:
                 t = search.tightened(point, t, 1 / ways)
             refused = self.foreseen(t, -CUSHION).max() > 1 or not self.search.promising(t, beyond)
-            if refused or self.cost(t) >= self.cost(half_widths):
+            if refused or self.cost(t) >= most:
                 break
             drawn = self.certifier.draw(self.training.with_half_widths(t))
             self.known.append((t, drawn))
