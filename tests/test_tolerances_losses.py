@@ -32,7 +32,7 @@ def best(spread=9.0):
     return h, sum(C[n] * 10 * um / h[n] + K * A[n] ** 2 * h[n] ** 2 / spread for n in A)
 
 
-@pytest.mark.parametrize(("law", "spread"), [("normal", 9.0), ("uniform", 3.0)])
+@pytest.mark.parametrize(("law", "spread"), [("normal", 9.0), pytest.param("uniform", 3.0, marks=pytest.mark.long)])
 def test_closed_forms(law, spread):
     found = allocate(linear, parts(distribution=law), {}, losses={"y": LOSS}, **FEW)
     h, j = best(spread)
@@ -47,6 +47,7 @@ def test_closed_forms(law, spread):
     assert whole.value == pytest.approx(cost + loss.value) and whole.lower < cost + true < whole.upper
 
 
+@pytest.mark.long  # both have the closed forms
 def test_minimise_agrees():
     one = allocate(linear, parts(), {}, losses={"y": LOSS}, **FEW)
     other = minimise(lambda values, h: LOSS(values["y"]).mean(), linear, parts(), costs=COSTS)
@@ -135,6 +136,7 @@ def test_costly_units_are_few_and_followed():
     assert found.objective.lower < best()[1] < found.objective.upper
 
 
+@pytest.mark.long
 def test_a_limit_of_an_output_without_errors_stays_exact_beside_a_loss():
     from rvjax.tolerances import Variable
 

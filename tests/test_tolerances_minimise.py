@@ -109,6 +109,7 @@ def test_the_half_widths_of_a_quadratic_loss_are_those_of_the_closed_form(of_nor
     assert of_normal.info.steps == 200 and of_normal.history.shape == (200,)
 
 
+@pytest.mark.long
 def test_the_half_widths_of_uniform_errors_are_those_of_the_closed_form():
     """From starts up to 40 times too coarse: steep slopes there must not slow down all later steps."""
     given = tolerances(100 * um, distribution="uniform")

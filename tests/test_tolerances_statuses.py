@@ -68,7 +68,7 @@ def test_units_that_fail_are_searched_by_values_beside_a_mid_point_that_cannot_m
     assert found.status == "OPTIMAL" and 0 < above(a * b, 0.99, UNITS) < 5
 
 
-@pytest.mark.parametrize("extra", ["moving", "loss"])
+@pytest.mark.parametrize("extra", [pytest.param("moving", marks=pytest.mark.long), "loss"])
 def test_what_was_not_compared_by_values_is_not_called_optimal(extra):
     more = dict(middles={"a": Middle(-5 * um, 5 * um)}) if extra == "moving" else {}
     more |= dict(losses=QuadraticLoss(1e-3, 10 * um)) if extra == "loss" else {}

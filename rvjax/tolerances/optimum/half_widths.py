@@ -95,7 +95,7 @@ class HalfWidths:
     def _aimed(self, point: Point, start: np.ndarray) -> tuple[np.ndarray, Statistics]:
         """Certified set where smaller half-widths do not help: correct the sample by a certificate, search again.
 
-        A limit that held gives back half of its room: with all of it, one of several limits fails each time.
+        A limit that held gives back half of its margin: with all of it, one of several limits fails each time.
         """
         training, certifier = self.training, self.certifier
         self.search.settled = SETTLED  # a miss of half a percent has to move the search
