@@ -15,7 +15,7 @@ import pytest
 
 from rvjax import Status
 from rvjax.commands import allocate
-from rvjax.commands.allocate.report import _Price
+from rvjax.commands.allocate.report import _Price, losses_of
 from rvjax.commands.cells import condition_text, evaluated, failures_text, price_text, share
 from rvjax.commands.montecarlo import report_on
 from rvjax.commands.report.worst_units import against_limit
@@ -24,7 +24,7 @@ from rvjax.population.estimates import Estimate
 from rvjax.render import Figure
 from rvjax.study import load
 from rvjax.study.study import About
-from rvjax.tolerances import Outcome, Requirement, WorstCaseWithin, monte_carlo
+from rvjax.tolerances import Outcome, QuadraticLoss, Requirement, WorstCaseWithin, expected_losses, monte_carlo
 from rvjax.units import arcmin, rpm, um
 
 
@@ -44,6 +44,30 @@ def headline(**changes):
     )  # fmt: skip
     found = SimpleNamespace(study=study, allocation=allocation(**changes), unlimited={})
     return allocate.headline(found).split("\n")
+
+
+def test_losses_are_stated_before_and_after_with_the_cost():
+    """2 for 1 arcmin: a mean of 0.5 and a deviation of 0.5 arcmin cost 1; afterwards 0.25 and 0.25 cost 0.25."""
+
+    def units(size):
+        about = {"error": Estimate.about(size * arcmin, 0.0, 2.0)}
+        return SimpleNamespace(confidence=0.95, infinite={"error": 0}, mean=about, sd=about)
+
+    losses = {"error": QuadraticLoss(2.0, 1 * arcmin)}
+    study = SimpleNamespace(losses=losses, output=lambda name: SimpleNamespace(shown=("arcmin", arcmin)))
+    after = expected_losses(losses, units(0.25))
+    whole = Estimate(8.25, 0.0, 8.25, 8.25)
+    answer = SimpleNamespace(
+        study=study, certificate_before=units(0.5),
+        allocation=SimpleNamespace(start_cost=9.0, losses=after, objective=whole),
+    )  # fmt: skip
+    assert losses_of(answer) == [
+        "mean loss of error (2 for 1 arcmin off 0 arcmin): 1.000 -> 0.250, 0.250 to 0.250",
+        "cost with losses 10.000 -> 8.250, 8.250 to 8.250",
+    ]
+    endless = units(0.5)
+    endless.infinite = {"error": 3}
+    assert expected_losses(losses, endless)["error"].value == math.inf
 
 
 def test_a_price_that_no_search_found_is_unknown():

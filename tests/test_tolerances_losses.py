@@ -6,6 +6,7 @@ Oracles: closed forms of a linear response with costs c/h, h = (9 c/(2 K a^2))^(
 
 import math
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import optimize, stats
@@ -117,6 +118,13 @@ def test_grades_by_the_objective():
 def test_bad_input_is_named(changes, message):
     with pytest.raises(ValueError, match=message):
         allocate(linear, parts(), {}, **(FEW | dict(losses={"y": LOSS}) | changes))
+
+
+def test_a_loss_whose_slopes_mislead_is_no_optimum():
+    """In steps of 5 um no unit has a slope, and without a requirement there is nothing to search by values."""
+    steps = lambda e: {"y": jnp.ceil(linear(e)["y"] / (5 * um)) * 5 * um}  # noqa: E731
+    found = allocate(steps, parts(), {}, losses={"y": LOSS}, **FEW)
+    assert found.status == "MAX_STEPS" and found.residual > 0.1
 
 
 class Costly:

@@ -34,7 +34,7 @@ from rvjax.tolerances.influence import (
     Influence as Influence,
     influences as influences,
 )
-from rvjax.tolerances.loss import QuadraticLoss
+from rvjax.tolerances.loss import QuadraticLoss, expected_losses as expected_losses
 from rvjax.tolerances.minimise import Minimum, minimise
 from rvjax.tolerances.moments import Moments, rss
 from rvjax.tolerances.optimum.cost import COSTS as COSTS, Cost as Cost, Exponential, ReciprocalPower, Table

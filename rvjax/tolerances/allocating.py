@@ -160,7 +160,7 @@ def allocated(
         )  # fmt: skip
         check_objective(problem.objective, names)
         decisions = problem.decisions()
-        alone = problem.of_widths
+        alone = problem.of_widths(decisions)
         solver = HalfWidths(problem, decisions, problem.start(decisions)) if alone else Designer(problem, decisions)
         found = solver.solution()
         rounded = None

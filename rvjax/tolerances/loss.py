@@ -2,9 +2,11 @@
 
 import dataclasses
 import math
+from collections.abc import Mapping
 
-from rvjax.population import Estimate
+from rvjax.population import Estimate, deviate_of
 from rvjax.records import Array, Record, Scalar, concrete, field, record
+from rvjax.tolerances.batch.statistics import Statistics
 
 
 @record
@@ -54,3 +56,18 @@ class QuadraticLoss(Record):
             value = getattr(self, name)
             if concrete(value) and not math.isfinite(value):
                 raise ValueError(f"QuadraticLoss.{name} = {value!r}: must be finite")
+
+
+def expected_losses(losses: Mapping[str, QuadraticLoss], statistics: Statistics) -> dict[str, Estimate]:
+    """Mean loss of each response by the statistics of units that do not fail; inf where a response was infinite.
+
+    Args:
+        losses: by name of the response.
+        statistics: of the units.
+    """
+    deviate, mean, sd = deviate_of(statistics.confidence), statistics.mean, statistics.sd
+    endless = Estimate(math.inf, math.nan, math.inf, math.inf)
+    return {
+        name: endless if statistics.infinite[name] else item.expected(mean[name], sd[name], deviate)
+        for name, item in losses.items()
+    }

@@ -87,8 +87,8 @@ class Answer:
         before: the study's own tolerances.
         after: the allocated tolerances.
         cost_curve: (least yield of a requirement, cheapest cost), ascending; the certified allocation
-            itself included if all targets are equal; empty if the study is infeasible or requires no share
-            of units.
+            itself included if all targets are equal; empty if the study is infeasible, requires no share
+            of units, or has losses.
         whole: allocated units on the whole reducer, or None where the study has no such outputs.
         unlimited: {output that a loaded study does not limit: what it is of the allocated units}.
     """
@@ -249,8 +249,8 @@ def _cost_curve(
     solved: Solved | None = None,
 ) -> list[tuple[float, float]]:
     aims = targets(study)
-    if not found.feasible or not aims:
-        return []  # no place to start from
+    if not found.feasible or not aims or study.losses:
+        return []  # no place to start from, or a search for the cost alone, which is not what the result minimises
     moved = found.cost - sum(found.costs.values())  # the curve includes the cost of moved mid-points
     curve = cost_of_yields(
         response,

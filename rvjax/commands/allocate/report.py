@@ -31,7 +31,7 @@ from rvjax.commands.cells import (
     slope_text,
     together_text,
 )
-from rvjax.population import Estimate, deviate_of
+from rvjax.population import Estimate
 from rvjax.render import (
     CSV,
     EVERYWHERE,
@@ -49,7 +49,7 @@ from rvjax.render import (
     Value,
     number,
 )
-from rvjax.tolerances import Allocation
+from rvjax.tolerances import Allocation, expected_losses
 from rvjax.units import readable
 
 MOVED = "middles moved"
@@ -127,12 +127,9 @@ def losses_of(answer: Answer) -> list[str]:
     study, allocation, sums = answer.study, answer.allocation, [answer.allocation.start_cost]
     if not study.losses:
         return []
-    lines = []
+    lines, given = [], expected_losses(study.losses, answer.certificate_before)
     for name, loss in study.losses.items():
-        before, after = (
-            loss.expected(found.mean[name], found.sd[name], deviate_of(found.confidence))
-            for found in (answer.certificate_before, allocation.certificate)
-        )
+        before, after = given[name], allocation.losses[name]
         unit, size = study.output(name).shown
         sums[0] += before.value
         at, target = (f"{float(value) / size:g} {unit}" for value in (loss.at, loss.target))

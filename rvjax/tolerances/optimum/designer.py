@@ -13,7 +13,7 @@ from rvjax.tolerances.optimum.correction import MOST, NEAR, WORTH, Correction
 from rvjax.tolerances.optimum.decisions import Decisions
 from rvjax.tolerances.optimum.ends import STATIONARY, confirmed, margins_of, prices
 from rvjax.tolerances.optimum.feasibility import Shortage, least_shortage
-from rvjax.tolerances.optimum.found import Found, status_of
+from rvjax.tolerances.optimum.found import Found, status_of, with_grades
 from rvjax.tolerances.optimum.half_widths import HalfWidths
 from rvjax.tolerances.optimum.lists import Lists, Places
 from rvjax.tolerances.optimum.local import Local
@@ -73,7 +73,8 @@ class Designer:
             end = self._searched(margins, shortage.x)
             if (margins.missed(end.point) > _EXACTLY).any():
                 return self._refused(margins, shortage)
-        if not self.problem.costly and self.decisions.fields and not confirmed(margins, self.decisions, end):
+        values = decisions.fields and any(item.of_sample for item in self.problem.requirements.values())
+        if values and not self.problem.costly and not confirmed(margins, decisions, end):
             return self._by_values(end)
         return self._certified(margins, end)
 
@@ -208,11 +209,8 @@ class Designer:
         x = end.point.x
         if kept is None and not certifier.hopeless():
             x, certificate = self._tightened(x, certificate)
-        cost, loss, stationary = (
-            margins.total(x),
-            margins.losses.look(x, sloped=False)[0],
-            end.residual <= self._stationary,
-        )
+        cost, loss = margins.total(x), margins.losses.look(x, sloped=False)[0]
+        stationary = end.residual <= self._stationary
         exact = not (margins.missed(end.point) > _EXACTLY).any()
         status = status_of(
             certified=certifier.holds(certificate) and end.excess <= _MET, exact=exact, cost=cost + loss,
@@ -326,10 +324,8 @@ class Designer:
                 break
             places = min(finer, key=worth)
             certificate = self._drawn(at(places))
-        x, held = at(places), self.certifier.holds(certificate) and found.exact
-        there = dataclasses.replace(
-            found, x=x, certificate=certificate, cost=margins.total(x), status="OPTIMAL" if held else "NOT_CERTIFIED"
-        )
+        x, held = at(places), self.certifier.holds(certificate)
+        there = with_grades(found, x, certificate, margins.total(x), certified=held)
         return there, {decisions.fields[j]: ladders[j][place][0] for j, place in places.items()}
 
     def _refused(self, margins: Margins, shortage: Shortage) -> Found:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 
 import jax.numpy as jnp
 
+from rvjax.tolerances.loss import expected_losses
 from rvjax.tolerances.optimum.found import Found
 from rvjax.tolerances.optimum.problem import Problem
 from rvjax.tolerances.optimum.result import Allocation
@@ -93,7 +94,7 @@ def allocation_of(
     t = decisions.half_widths(found.x)
     nothing = dict.fromkeys(names, 0.0)
     widths = zip(decisions.fields, problem.priced.values(), t)
-    losses = problem.expected_losses(found.certificate)
+    losses = expected_losses(problem.losses, found.certificate)
     return Allocation(
         feasible=found.status != "INFEASIBLE",
         status=found.status,

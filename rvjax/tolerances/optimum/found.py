@@ -1,4 +1,4 @@
-"""Solution of a problem, and the status that it deserves: the one place where an end is called OPTIMAL."""
+"""Solution of a problem and its status. No other place calls an end or a set of grades OPTIMAL."""
 
 import dataclasses
 from typing import Any
@@ -74,3 +74,17 @@ def status_of(*, certified: bool, exact: bool, cost: float, learned: float, sett
     if cost > learned + DEARER * abs(learned):
         return "SUBOPTIMAL"
     return "OPTIMAL" if settled and stationary else "MAX_STEPS"
+
+
+def with_grades(found: Found, x: np.ndarray, certificate: Statistics, cost: float, *, certified: bool) -> Found:
+    """A solution with other half-widths, rounded to grades: of these OPTIMAL means certified.
+
+    Args:
+        found: the solution before.
+        x: (n,) its vector with the grades.
+        certificate: of these.
+        cost: of these.
+        certified: the certificate holds.
+    """
+    status = "OPTIMAL" if certified and found.exact else "NOT_CERTIFIED"
+    return dataclasses.replace(found, x=x, certificate=certificate, cost=cost, status=status)

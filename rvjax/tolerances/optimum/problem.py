@@ -10,7 +10,7 @@ from rvjax._jax.blocks import PULLED
 from rvjax.population import Estimate, Population, deviate_of
 from rvjax.response import Response, is_costly
 from rvjax.tolerances.batch.memo import Memo
-from rvjax.tolerances.batch.monte_carlo import Run, Statistics
+from rvjax.tolerances.batch.monte_carlo import Run
 from rvjax.tolerances.loss import QuadraticLoss
 from rvjax.tolerances.optimum.conlin import total_cost
 from rvjax.tolerances.optimum.cost import Cost
@@ -72,10 +72,8 @@ class Problem:
         """Vector of decisions."""
         return Decisions(self.population, self.priced, self.middles, self.variables)
 
-    @property
-    def of_widths(self) -> bool:
+    def of_widths(self, decisions: Decisions) -> bool:
         """True if its units are costly, its limits are on shares and half-widths are its only decisions."""
-        decisions = self.decisions()
         alone = decisions.size == len(decisions.fields) and not self.objective
         return alone and not self.losses and followable(self.response, self.requirements)
 
@@ -86,12 +84,6 @@ class Problem:
         widths = float(total_cost(tuple(self.priced.values()), jnp.asarray(self.given))) if self.priced else 0.0
         rest = decisions.cost(given) - decisions.widths_cost(given)
         return widths + rest + sum(price * outputs[name] for name, price in self.objective.items())
-
-    def expected_losses(self, certificate: Statistics) -> dict[str, Estimate]:
-        """Mean loss of each response by the units of a certificate."""
-        deviate = deviate_of(self.run.confidence)
-        mean, sd = certificate.mean, certificate.sd
-        return {n: item.expected(mean[n], sd[n], deviate) for n, item in self.losses.items()}
 
     @staticmethod
     def whole_of(cost: float, losses: Mapping[str, Estimate]) -> Estimate:
