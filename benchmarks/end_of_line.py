@@ -19,8 +19,8 @@ import numpy as np
 
 import rvjax
 from rvjax import catalogue, identify, models
+from rvjax.measured import Conditions
 from rvjax.study.bench import curve_model
-from rvjax.study.measured import Conditions
 from rvjax.study.nuisances import nuisance
 from rvjax.tolerances import Tolerance, sample
 from rvjax.units import arcmin, arcsec, um

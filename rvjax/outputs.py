@@ -197,7 +197,7 @@ class Observation:
     """Observation of a model on a bench, as `[identify]` of a study compares it with data.
 
     Attributes:
-        kind: of data, a key of `rvjax.study.measured.KINDS`.
+        kind: of data, a key of `rvjax.measured.KINDS`.
         predict: measurement of one unit; arguments and value by kind:
             "curve": (design, errors, conditions, torques (t,) N m or None for no load, orders of the output turn,
             whether one turn of the cranks is like the next, where there are parts the part) -> (mean (t,), complex

@@ -6,9 +6,9 @@ Oracle: the parts and runs that it says it writes.
 import pytest
 
 from benchmarks import whole
-from rvjax import study
+from rvjax import measured, study
 from rvjax.commands.assemble import bench
-from rvjax.study import measured, problem
+from rvjax.study import problem
 
 
 @pytest.fixture(scope="module")

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from rvjax._jax import compile_cache, exported
+from rvjax.measured import Conditions
 from rvjax.records import Record, field, record, text
 from rvjax.response import per_response
 from rvjax.response.response import Compiled
-from rvjax.study.measured import Conditions
 
 TRACED = []  # of the function below
 

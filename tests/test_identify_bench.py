@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 import rvjax
-from rvjax import catalogue, study
+from rvjax import catalogue, measured, study
 from rvjax.commands.identify import in_words
 from rvjax.identify.observation import Layout
-from rvjax.study import bench, measured, problem
-from rvjax.study.measured import Conditions
+from rvjax.measured import Conditions
+from rvjax.study import bench, problem
 from rvjax.study.nuisances import nuisance
 from rvjax.units import arcsec, um
 

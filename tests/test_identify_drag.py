@@ -9,9 +9,9 @@ import pytest
 
 from rvjax import RVErrors, identify, loaded, models, study
 from rvjax.loaded import observation
+from rvjax.measured import Conditions, Loop, Measured
 from rvjax.published.rv160 import READ
 from rvjax.study import bench, problem
-from rvjax.study.measured import Conditions, Loop, Measured
 from rvjax.study.nuisances import nuisance
 from rvjax.tolerances import Tolerance
 from rvjax.units import arcsec, rpm, um

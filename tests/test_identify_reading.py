@@ -8,11 +8,11 @@ from loaded_turns import PINS, TURN, found_over_a_turn, orders_read, sprung
 
 from rvjax import catalogue, identify, loaded, models
 from rvjax.loaded import head, observation
+from rvjax.measured import Conditions
 from rvjax.published.rv160 import ENCODER, READ
 from rvjax.published.rv160_reducer import NONE
 from rvjax.status import at_once
 from rvjax.study import bench
-from rvjax.study.measured import Conditions
 from rvjax.study.nuisances import NUISANCES, nuisance, part_orders
 from rvjax.tolerances import Tolerance
 from rvjax.units import arcsec, um

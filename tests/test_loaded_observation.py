@@ -17,8 +17,8 @@ from rvjax.identify.problem import Problem
 from rvjax.identify.shares import contributions
 from rvjax.loaded import observation, outputs
 from rvjax.loaded.inputs import check_input
+from rvjax.measured import Conditions
 from rvjax.study import bench
-from rvjax.study.measured import Conditions
 from rvjax.tolerances import Tolerance
 from rvjax.units import um
 from tests.identify_models import Noise, unit

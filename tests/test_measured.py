@@ -8,9 +8,8 @@ import re
 import numpy as np
 import pytest
 
-from rvjax import study
-from rvjax.study import measured
-from rvjax.study.measured import read_table
+from rvjax import measured, study
+from rvjax.measured import read_table
 from rvjax.study.problem import problem
 from rvjax.units import arcmin, arcsec, deg
 

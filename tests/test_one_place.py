@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from cli_study import answered_once
 
-from rvjax import cli, errors, mounting, study
+from rvjax import cli, errors, measured, mounting, study
 from rvjax.catalogue import RV_40E
 from rvjax.commands import identify as identified
 from rvjax.commands.allocate import answer
@@ -22,7 +22,6 @@ from rvjax.designs import RVReducer
 from rvjax.errors import Bound, RVErrors, deviation, read_by
 from rvjax.outputs import Observation
 from rvjax.records import IN_ERROR_UNIT, Scalar, field, record
-from rvjax.study import measured
 from rvjax.tolerances import sample
 from rvjax.tolerances.optimum import cost
 from rvjax.units import arcsec, um

@@ -4,12 +4,12 @@ import jax
 import numpy as np
 import pytest
 
-from rvjax import models, study
+from rvjax import measured, models, study
+from rvjax.measured import Conditions
+from rvjax.measured.branches import _local, branches
 from rvjax.outputs import torque_of
 from rvjax.published.rv160 import READ
-from rvjax.study import bench, measured
-from rvjax.study.branches import _local, branches
-from rvjax.study.measured import Conditions
+from rvjax.study import bench
 from rvjax.study.problem import UNMEASURED, _by_place, candidates, problem
 from rvjax.units import arcsec, um
 

@@ -1,10 +1,10 @@
 """Studies: design, tolerances, costs and requirements, in Python or as a TOML file."""
 
 from rvjax._reducer.plausible import KNOWN_DESIGNS, numbers, shown, walk as walk
+from rvjax.measured import Conditions, Loop, Measured, Run, read as read_measured
 from rvjax.study.bench import order_name
 from rvjax.study.design import BASES, given_numbers as given_numbers
 from rvjax.study.identification import field_unit
-from rvjax.study.measured import Conditions, Loop, Measured, Run, read as read_measured
 from rvjax.study.nuisances import NUISANCES, part_orders as part_orders
 from rvjax.study.origin import comments as comments, facts_of
 from rvjax.study.plausible import RATED, TORQUE

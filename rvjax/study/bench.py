@@ -14,9 +14,9 @@ from rvjax import models
 from rvjax._ground.choices import unknown
 from rvjax._jax.compile_cache import Options
 from rvjax.errors import described, read_by
+from rvjax.measured import Conditions
 from rvjax.outputs import Observation, torque_of
 from rvjax.records import Array, Design, PyTree, Record, Scalar, field, record, text
-from rvjax.study.measured import Conditions
 from rvjax.study.nuisances import DRAGS, NUISANCES
 
 Values = Mapping[str, PyTree]

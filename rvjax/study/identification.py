@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rvjax import models
+from rvjax.measured import DIRECTIONS, KINDS, Kind
 from rvjax.outputs import Observation
 from rvjax.records import Design, PyTree
 from rvjax.study.bench import number_of_design
-from rvjax.study.measured import DIRECTIONS, KINDS, Kind
 from rvjax.study.nuisances import DRAGS, NUISANCES, nuisance
 from rvjax.study.toleranced import parse_tolerance
 from rvjax.study.values import Toml, choice, integer, known, naming_field, quantity, subtable

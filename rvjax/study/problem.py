@@ -8,6 +8,7 @@ import numpy as np
 
 from rvjax import identify, models
 from rvjax.designs import RVReducer
+from rvjax.measured import GRID, KINDS, Conditions, Loop, Measured, Run, Tones, checked
 from rvjax.outputs import Observation, torque_of
 from rvjax.records import PyTree
 from rvjax.study.bench import (
@@ -21,9 +22,7 @@ from rvjax.study.bench import (
     rated_torque,
     signed_torques,
 )
-from rvjax.study.branches import GRID
 from rvjax.study.identification import Identification, planned_kind
-from rvjax.study.measured import KINDS, Conditions, Loop, Measured, Run, Tones, checked
 from rvjax.study.nuisances import NUISANCES
 from rvjax.study.study import Study, StudyError
 from rvjax.tolerances import Tolerance

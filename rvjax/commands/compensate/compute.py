@@ -96,7 +96,7 @@ def corrections(
 
     Args:
         study: its design gives ratio and pins, its [columns] the foreign names of columns.
-        path: of the file, as `rvjax.study.measured` reads it: "angle [deg]", "error [arcsec]" and, if wanted, unit,
+        path: of the file, as `rvjax.measured` reads it: "angle [deg]", "error [arcsec]" and, if wanted, unit,
             torque, direction and temperature. Rows of equal conditions are a curve.
         angle_sd: of the table's zero, rad of the output.
         count: orders to store at most.

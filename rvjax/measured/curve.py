@@ -1,0 +1,73 @@
+"""Curves of the transmission error along turns of the output."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rvjax._ground.columns import Table
+from rvjax.measured.conditions import Conditions, where as named
+from rvjax.measured.kind import Kind
+from rvjax.units import deg
+
+TURN = 359 * deg  # what a run has to cover; every sample represents the step before it
+
+
+@dataclass(frozen=True)
+class Run:
+    """Transmission error along a turn of the output.
+
+    Attributes:
+        source: name of the file.
+        at: under which conditions.
+        angle: of the output, ascending or descending without jumps, rad (n,).
+        error: > 0: output ahead, rad (n,).
+    """
+
+    source: str
+    at: Conditions
+    angle: np.ndarray
+    error: np.ndarray
+
+
+class Curve(Kind):
+    """Transmission error over the output angle."""
+
+    needs = ("angle", "error")
+    unit = "rad"
+    example = "0.2 arcsec"
+    nuisances = ("offset", "mounting", "phase", "reading", "drag", "viscous_drag")
+
+    def read(self, table: Table, at: Conditions, rows: np.ndarray) -> Run:
+        """Read the samples of one run; a missing reading is no sample."""
+        angle, error = table.numbers["angle"][rows], table.numbers["error"][rows]
+        kept = ~np.isnan(error)  # a missing reading is no sample; the gap that it leaves is checked with the orders
+        for row, value in zip(table.rows[rows][kept], angle[kept]):
+            if np.isnan(value):
+                raise ValueError(f"{table.source}: row {row}, angle is empty: every sample needs its angle in deg")
+        return Run(table.source, at, np.unwrap(angle[kept]), error[kept])
+
+
+def checked(run: Run, finest: int) -> Run:
+    """Check that a run determines the orders up to `finest` of the output revolution.
+
+    Raises:
+        ValueError: it covers less than 359 deg, turns back, or has a gap above half the finest order.
+    """
+    where, angle = named(run.source, run.at), run.angle
+    step = np.median(np.abs(np.diff(angle))) if len(angle) > 1 else 0.0
+    if (covered := (np.ptp(angle) + step if len(angle) else 0.0) / deg) < TURN / deg:
+        hint = "; a run needs one nominal torque" if len(angle) < 2 else ""
+        raise ValueError(f"{where}: covers {covered:.6g} deg in {len(angle)} samples, needs at least 359 deg{hint}")
+    falls = run.at.direction == "backward" and angle[-1] < angle[0]  # recorded in time, or sorted: both are read
+    onward = -angle if falls else angle
+    period = 360 * deg / finest
+    back = np.max(np.maximum.accumulate(onward) - onward)
+    if back > 0.1 * period:  # less is jitter of an encoder
+        back_by = f"the angle turns back by {back / deg:.4g} deg"
+        raise ValueError(f"{where}: {back_by}; a run goes one way, {run.at.direction}")
+    order = np.argsort(angle, kind="stable")
+    gap = np.max(np.diff(angle[order]))
+    if gap > 0.5 * period:
+        need = f"order {finest} needs at most {0.5 * period / deg:.4g} deg"
+        raise ValueError(f"{where}: a gap of {gap / deg:.4g} deg in the angle; {need}")
+    return replace(run, angle=angle[order], error=run.error[order])
