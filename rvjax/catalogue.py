@@ -86,3 +86,13 @@ RV_20E: RVReducer = _record(RVReducer, _PUBLISHED["RV_20E"])
 RV_20E_ERRORS: RVErrors = _record(RVErrors, _PUBLISHED["RV_20E_ERRORS"])
 RV_80E: RVReducer = _record(RVReducer, _PUBLISHED["RV_80E"])
 RV_320E: RVReducer = _record(RVReducer, _PUBLISHED["RV_320E"])
+
+BASES: dict[str, PyTree] = {
+    "corr": CORR,
+    "rv-20e": RV_20E,
+    "rv-40e": RV_40E,
+    "rv-40e-whole": RV_40E_WHOLE,
+    "rv-80e": RV_80E,
+    "rv-320e": RV_320E,
+}
+"""Known reducers of every kind, by the name that study files give them."""

@@ -78,7 +78,7 @@ def tables() -> set[str]:
 
 def kinds() -> dict[str, type]:
     """Classes of designs by the name that study files give them."""
-    return {description.design.kind: description.design for description in descriptions()}  # type: ignore[attr-defined]
+    return {design.kind: design for one in descriptions() for design in one.designs}  # type: ignore[attr-defined]
 
 
 def kind(design: object) -> Kind:
@@ -101,7 +101,7 @@ def kind_of(design: type) -> Kind:
 
 @lru_cache(maxsize=16)
 def _kind(design: type, known: tuple[Description, ...]) -> Kind:
-    mine = [description for description in known if issubclass(design, description.design)]
+    mine = [description for description in known if issubclass(design, description.designs)]
     if not mine:
         raise ValueError(f"no model takes a {design.__name__}")
     described: dict[str, Description] = {}

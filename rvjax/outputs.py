@@ -297,7 +297,7 @@ class Description:
 
     Attributes:
         name: of the model, as `rvjax.errors.deviation` names it in `read_by`.
-        design: class of the designs that it takes.
+        design: class of the designs that it takes, or several of them.
         conditions: frozen dataclass whose fields are made by `condition`.
         outputs: by name.
         curve: to look at, or None.
@@ -313,7 +313,7 @@ class Description:
     """
 
     name: str
-    design: type
+    design: type | tuple[type, ...]
     conditions: type
     outputs: Mapping[str, Output]
     curve: Curve | None = None
@@ -326,3 +326,8 @@ class Description:
     joints: tuple[Joint, ...] = ()
     usual: Mapping[str, Usual] = dataclasses.field(default_factory=dict)
     work: Mapping[Source, Work] = dataclasses.field(default_factory=dict)
+
+    @property
+    def designs(self) -> tuple[type, ...]:
+        """Classes of the designs that it takes."""
+        return self.design if isinstance(self.design, tuple) else (self.design,)

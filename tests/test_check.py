@@ -15,8 +15,7 @@ from rvjax._reducer import plausible
 from rvjax.commands import module
 from rvjax.commands.allocate import answer, expected
 from rvjax.commands.forecast import forewarn
-from rvjax.commands.init.compute import KINEMATIC, written
-from rvjax.study.design import BASES
+from rvjax.commands.init.compute import written
 from rvjax.study.plausible import doubts
 from rvjax.units import mm
 
@@ -138,15 +137,15 @@ def test_known_reducers_and_the_studies_raise_no_doubt():
     for name in study.embedded_names():
         assert study.load(name, solve=False).doubts == []
     question = study.load("rv-40e", solve=False)
-    for design in (d for d in plausible.KNOWN_DESIGNS if isinstance(d, designs.RVReducer)):
+    for design in study.KINDS[designs.RVReducer].bases.values():
         assert doubts(design, question.conditions, question.tolerances) == []
 
 
-@pytest.mark.parametrize("base", sorted(BASES))
+@pytest.mark.parametrize("base", sorted(study.BASES))
 def test_a_written_study_is_the_known_reducer(base):
     text = template(base)
     made = study.parse_study(text, name=base, solve=False)
-    due, given = dict(plausible.numbers(BASES[base])), dict(plausible.numbers(made.design))
+    due, given = dict(plausible.numbers(study.BASES[base])), dict(plausible.numbers(made.design))
     for name, (value, _) in due.items():
         if (
             name.split(".")[0] in ("involute", "cycloid", "cranks", "cam_radius", "eccentricity")
@@ -223,7 +222,8 @@ def test_what_is_assumed_is_named_until_it_is_given():
     assert "cranks.bearing_stiffness" not in given and "cycloid.disc_count" in given
     marked = study.parse_study(template("rv-80e"), name="x", solve=False).assumed
     modified = ["cycloid.equidistant_modification", "cycloid.shift_modification"]
-    due = [name for name in catalogue.assumed("rv-80e") if name.split(".")[0] in KINEMATIC]
+    kinematic = study.KINDS[designs.RVReducer].starts["four-bar"].parts
+    due = [name for name in catalogue.assumed("rv-80e") if name.split(".")[0] in kinematic]
     assert sorted(marked) == sorted(due + modified)  # the file marks them
     inputs = module("check", "inputs").Inputs(asked(DESIGN, DESIGN), None)
     text = module("check", "report").report(inputs, module("check", "compute").compute(inputs)).text()

@@ -13,7 +13,8 @@ from rvjax._reducer import plausible
 from rvjax.commands.allocate import shortfalls
 from rvjax.commands.init.compute import written
 from rvjax.life import dynamic_rating, static_rating
-from rvjax.study.variables import LAWS, OF_A_SIZE, changed, number_at
+from rvjax.study.kinds import changed, number_at
+from rvjax.study.kinds.rv.following import LAWS
 from rvjax.units import arcmin, mm, rpm, um
 
 BASES = ["rv-20e", "rv-40e", "rv-40e-whole", "rv-80e", "rv-320e"]
@@ -273,7 +274,7 @@ def test_commands(tmp_path, monkeypatch, capsys):
 def test_laws_of_a_size_leave_single_changes_alone():
     whole = catalogue.RV_40E_WHOLE
     values = {"cycloid.pin_circle_radius": 70 * mm}
-    assert {law.name for law in OF_A_SIZE if law.whole}.isdisjoint(law.name for law in LAWS)
+    assert {law.name for law in LAWS if law.whole}.isdisjoint(law.name for law in LAWS if not law.whole)
     assert changed(whole, values).contact.face_width == whole.contact.face_width
     assert changed(whole, values, whole=True).contact.face_width == pytest.approx(12 * mm * 70 / 64)
 

@@ -10,7 +10,9 @@ import pytest
 
 from rvjax import study
 from rvjax.catalogue import RV_320E
-from rvjax.study.variables import LAWS, changed, laws_of, number_at, outside, refuse_variable
+from rvjax.study.kinds import changed, number_at, outside
+from rvjax.study.kinds.rv.following import FOLLOWING, LAWS
+from rvjax.study.variables import refuse_variable
 from rvjax.units import mm
 
 CASES = json.loads((Path(__file__).parent / "reference" / "codesign.json").read_text())["cases"]
@@ -142,7 +144,7 @@ def test_one_harmonic_is_an_element():
 
 def test_laws_that_are_used_and_their_interval():
     made = asked(CONTACT)
-    used = laws_of(made.design, ["contact.face_width"], made.given)
+    used = FOLLOWING.called(made.design, ["contact.face_width"], made.given)
     numbers = [number for _, numbers in used for number in numbers]
     assert "stiffness.turning_arm_bearing" in numbers and "stiffness.support_bearing" not in numbers
     assert "cranks.bearing_stiffness" not in numbers  # the RV-320E has none
@@ -186,6 +188,8 @@ def test_an_unknown_path_is_one_line():
 
 def test_laws_are_called_by_what_follows_another_law():
     """The crank circle follows the module of the gears; bearings and masses of the cranks follow the crank circle."""
-    used = {law.name for law, _ in laws_of(study.load("rv-40e-whole", solve=False).design, ["involute.module"])}
+    used = {
+        law.name for law, _ in FOLLOWING.called(study.load("rv-40e-whole", solve=False).design, ["involute.module"])
+    }
     circle = {law.name for law in LAWS if "cranks.circle_radius" in law.follows}
     assert "gears" in used and "support bearings" in used & circle

@@ -28,9 +28,7 @@ FAR = 30.0  # factor from every known reducer beyond which a number is doubted
 FAR_STIFFNESS = 600.0  # in Python, where calibrations move it: less than the thousand between N/mm and N/m
 STIFFNESS = ("N/m", "N m/rad")
 FAR_INERTIA = 1000.0  # grows with the fifth power of a length: 50 between the sizes 20 and 320
-KNOWN_DESIGNS = (
-    catalogue.CORR, catalogue.RV_20E, catalogue.RV_40E, catalogue.RV_40E_WHOLE, catalogue.RV_80E, catalogue.RV_320E,
-)  # fmt: skip
+KNOWN_DESIGNS = tuple(catalogue.BASES.values())
 
 
 class ImplausibleDesign(UserWarning):

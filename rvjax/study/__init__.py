@@ -1,13 +1,29 @@
 """Studies: design, tolerances, costs and requirements, in Python or as a TOML file."""
 
 from rvjax._reducer.plausible import KNOWN_DESIGNS, numbers, shown, walk as walk
+from rvjax.catalogue import BASES
 from rvjax.measured import Conditions, Loop, Measured, Run, read as read_measured
 from rvjax.study.bench import order_name
-from rvjax.study.design import BASES, given_numbers as given_numbers
+from rvjax.study.design import given_numbers as given_numbers
 from rvjax.study.identification import field_unit
+from rvjax.study.kinds import (
+    KINDS as KINDS,
+    Assumed as Assumed,
+    Kind as Kind,
+    Known as Known,
+    Law as Law,
+    Start as Start,
+    changed as scaled,
+    facts_of,
+    fields_of as fields_of,
+    fields_of_kind as fields_of_kind,
+    kind_of as kind_of,
+    number_at as number_at,
+    outside as outside,
+)
+from rvjax.study.kinds.rv import RATED, TORQUE
 from rvjax.study.nuisances import NUISANCES, part_orders as part_orders
-from rvjax.study.origin import comments as comments, facts_of
-from rvjax.study.plausible import RATED, TORQUE
+from rvjax.study.origin import comments as comments
 from rvjax.study.problem import (
     Candidate,
     Problem,
@@ -18,26 +34,17 @@ from rvjax.study.problem import (
 from rvjax.study.read import EMBEDDED, embedded_names, load, parse_study
 from rvjax.study.response import CURVE as CURVE, Response as Response, refuse as refuse
 from rvjax.study.rewrite import template as study_template
-from rvjax.study.sizes import (
-    MODIFICATIONS as MODIFICATIONS,
-    Assumed as Assumed,
-    arm_force as arm_force,
-    completed as completed,
-    fields_of_kind as fields_of_kind,
-    lacking as lacking,
-    rated_torque as rated_torque,
-    tolerance_ratios as tolerance_ratios,
-)
 from rvjax.study.study import Study, StudyError
 from rvjax.study.toleranced import stated_by as stated_by
-from rvjax.study.values import Metadata as Metadata, choice, integer, known, naming, quantity, subtable
-from rvjax.study.variables import (
-    Law as Law,
-    changed as scaled,
-    fields_of as fields_of,
-    laws_of as laws_of,
-    number_at as number_at,
-    outside as outside,
+from rvjax.study.values import (
+    Metadata as Metadata,
+    choice,
+    in_unit as in_unit,
+    integer,
+    known,
+    naming,
+    quantity,
+    subtable,
 )
 
 __all__ = [
@@ -57,11 +64,11 @@ __all__ = [
     "Candidate",
     "choice",
     "embedded_names",
-    "facts_of",
     "field_unit",
     "identification_of",
     "integer",
     "inverse_problem",
+    "facts_of",
     "known",
     "load",
     "naming",

@@ -1,77 +1,15 @@
-"""The design of a study: a published one with changes, or every number of a kind of design.
-
-Numbers of a design that follow from others.
-
-Where a study changes what a number follows from, the number follows; where it gives both, they must agree. A published
-design that contradicts itself keeps its numbers as long as nothing of that part is changed.
-"""
+"""The design of a study: a published one with changes, or every number of a kind of design."""
 
 import dataclasses
 from collections.abc import Callable, Iterator
 
-import numpy as np
-
-from rvjax import catalogue, models
+from rvjax import models
 from rvjax._reducer.plausible import walk
-from rvjax.catalogue import part_class
-from rvjax.designs import InvoluteStage, RVReducer
-from rvjax.records import Design, PyTree, Record, Scalar
-from rvjax.study.values import Toml, choice, integer, known, naming_field, quantities, subtable
-
-GEARS = ("sun_teeth", "planet_teeth", "module", "pressure_angle")
-PROFILE = ("eccentricity", "pin_count", "pin_circle_radius")
-# Share by which a given number may differ from what it follows from: rounding of drawings; profile shift of the gears
-# (one module at ten and thirty teeth); cranks off the planets' axes by a rounded shift (0.8 % in the RV-320E).
-AGREE = {"sun_radius": 2e-3, "sun_base_radius": 2e-3, "planet_base_radius": 2e-3, "centre_distance": 0.05}
-AGREE_CIRCLE = 0.02
-
-
-def followed(design: Design, given: Toml) -> Design:
-    """The design, with what follows from the numbers that a study gives.
-
-    Raises:
-        ValueError: a given number contradicts those it follows from; names both.
-    """
-    if not isinstance(design, RVReducer):
-        return design
-    gears, profile, cranks = (set(subtable(given, part)) for part in ("involute", "cycloid", "cranks"))
-    involute = design.involute
-    standard = InvoluteStage.from_teeth(**{name: getattr(involute, name) for name in GEARS})
-    if gears & set(GEARS):
-        involute = involute.replace(**{name: getattr(standard, name) for name in AGREE if name not in gears})
-    for name in sorted(gears & set(AGREE)):
-        _agree(f"involute.{name}", getattr(involute, name), "teeth and module", getattr(standard, name), AGREE[name])
-    circle = design.cranks
-    if involute.centre_distance != design.involute.centre_distance or "centre_distance" in gears:
-        circle = circle if "circle_radius" in cranks else circle.replace(circle_radius=involute.centre_distance)
-    if "circle_radius" in cranks:
-        _agree(
-            "cranks.circle_radius", circle.circle_radius, "centre_distance", involute.centre_distance, AGREE_CIRCLE,
-            "each planet sits on its crank",
-        )  # fmt: skip
-    cycloid = design.cycloid
-    if profile & set(PROFILE) and "shortening" not in profile:
-        cycloid = cycloid.replace(shortening=None)
-    return design.replace(involute=involute, cranks=circle, cycloid=cycloid)
-
-
-def _agree(name: str, value: Scalar, source: str, due: Scalar, share: float, why: str = "") -> None:
-    if np.any(np.abs(value - due) > share * np.abs(due)):
-        reason = f"; {why}" if why else ""
-        raise ValueError(
-            f"design.{name} = {1e3 * value:.6g} mm: {source} make it {1e3 * due:.6g} mm, more than {share:.3g} of it "
-            f"apart{reason}"
-        )
-
-
-BASES = {
-    "corr": catalogue.CORR,
-    "rv-20e": catalogue.RV_20E,
-    "rv-40e": catalogue.RV_40E,
-    "rv-40e-whole": catalogue.RV_40E_WHOLE,
-    "rv-80e": catalogue.RV_80E,
-    "rv-320e": catalogue.RV_320E,
-}
+from rvjax.catalogue import BASES, part_class
+from rvjax.designs import InvoluteStage
+from rvjax.records import PyTree, Record
+from rvjax.study.kinds import kind_of
+from rvjax.study.values import Toml, choice, integer, known, naming_field, quantities
 
 
 def parse_design(table: Toml) -> PyTree:
@@ -89,12 +27,13 @@ def parse_design(table: Toml) -> PyTree:
             raise ValueError(
                 f"design.base or design.kind is missing: a known reducer ({', '.join(BASES)}), or its kind"
             )
-        changed = _changed(BASES[choice(table.get("base"), BASES, "design.base")], numbers, "design")
-        return followed(changed, numbers)
-    if "base" in table:
+        design = _changed(BASES[choice(table.get("base"), BASES, "design.base")], numbers, "design")
+    elif "base" in table:
         raise ValueError("design.base and design.kind: give one of them")
-    kinds = models.kinds()
-    return followed(_made(kinds[choice(table["kind"], kinds, "design.kind")], numbers, "design"), numbers)
+    else:
+        kinds = models.kinds()
+        design = _made(kinds[choice(table["kind"], kinds, "design.kind")], numbers, "design")
+    return kind_of(design).followed(design, numbers)
 
 
 def given_numbers(table: Toml) -> dict[str, PyTree]:

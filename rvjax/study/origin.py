@@ -1,43 +1,13 @@
-"""Origin of each value of a design: the study, the published reducer it begins with, or other numbers.
-
-Derived values of a design: ratio, gaps, undercut, contact ratio.
-"""
+"""Origin of each value of a design: the study, the published reducer it begins with, or other numbers."""
 
 import dataclasses
-import math
 import re
-from collections.abc import Iterator
 
 from rvjax import catalogue
-from rvjax._jax.compile_cache import ONCE, quick
-from rvjax._reducer.plausible import shown, walk
-from rvjax.designs import CamRollerReducer, InvoluteStage, RVReducer
-from rvjax.geometry import contact_ratio, least_convex_radius
-from rvjax.records import Array, Design, PyTree, Scalar
-from rvjax.study.design import AGREE, BASES, GEARS
+from rvjax._reducer.plausible import walk
+from rvjax.records import PyTree
+from rvjax.study.kinds import kind_of
 from rvjax.study.values import Toml
-
-
-def facts_of(design: Design) -> Iterator[tuple[str, str]]:
-    """(name, value) of what follows from the numbers of a design; nothing for a kind that is not in the catalogue."""
-    if isinstance(design, CamRollerReducer):
-        yield "rollers", str(design.gear_teeth + 1)
-    if not isinstance(design, RVReducer):
-        return
-    cycloid, stage = design.cycloid, design.involute
-    gap = 2 * (cycloid.pin_circle_radius * math.sin(math.pi / cycloid.pin_count) - cycloid.pin_radius)
-    k1 = cycloid.shortening_coefficient
-    smallest, ratio = map(float, _geometry(k1, stage, cycloid.pin_count))
-    least = smallest * cycloid.pin_circle_radius
-    yield "ratio", f"{design.ratio:.6g}"
-    yield "K1", f"{float(k1):.4g}"
-    yield "gap between pins", shown(gap, "m")
-    sharp = "undercut" if cycloid.pin_radius >= least else "no undercut"
-    yield (
-        "largest pin without undercut",
-        f"{shown(least, 'm')} radius; the pins have {shown(cycloid.pin_radius, 'm')}: {sharp}",
-    )
-    yield "contact ratio of the gears", f"{ratio:.3g} (teeth without shift)"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,14 +41,14 @@ def design_numbers(design: PyTree, given: Toml, text: str) -> list[Number]:
     """
     base = str(given.get("base", ""))
     sources, own = catalogue.sources(base), comments(text)
-    published = BASES.get(base)
-    found, stated = [], given_paths(given)
+    published = catalogue.BASES.get(base)
+    kind, found, stated = kind_of(design), [], given_paths(given)
     for path, value, about in walk(design):
         # A number that is neither given nor the published one has followed from others.
         kept = published is not None and path in sources and _same(value, _at(published, path))
         if path in stated:
             origin, said = "this study", own.get(path, "")
-        elif (derived := _derived(design, path, value)) and not (kept and stated.isdisjoint(_FROM)):
+        elif (derived := kind.derivation(design, path, value)) and not (kept and stated.isdisjoint(kind.derived_from)):
             origin, said = derived, ""
         elif kept:
             said = sources[path]
@@ -87,28 +57,6 @@ def design_numbers(design: PyTree, given: Toml, text: str) -> list[Number]:
             origin, said = "default", ""
         found.append(Number(path, value, about["unit"], about["meaning"], origin, is_assumed(said)))
     return found
-
-
-_FROM = {f"involute.{name}" for name in (*GEARS, *AGREE)}  # paths that gears and crank circle are derived from
-
-
-def _derived(design: PyTree, path: str, value: Scalar) -> str:
-    """Derivation of a number of standard gears, or of the crank circle, with the numbers of this design; else ""."""
-    if not isinstance(design, RVReducer):
-        return ""
-    stage = design.involute
-    gears = InvoluteStage.from_teeth(**{name: getattr(stage, name) for name in GEARS})
-    module, angle = shown(stage.module, "m"), f"cos {math.degrees(float(stage.pressure_angle)):g} deg"
-    how = {
-        "involute.centre_distance": (gears.centre_distance, f"{module} ({stage.sun_teeth} + {stage.planet_teeth})/2"),
-        "involute.sun_radius": (gears.sun_radius, f"{module} * {stage.sun_teeth}/2"),
-        "involute.sun_base_radius": (gears.sun_base_radius, f"{module} * {stage.sun_teeth}/2 * {angle}"),
-        "involute.planet_base_radius": (gears.planet_base_radius, f"{module} * {stage.planet_teeth}/2 * {angle}"),
-        "cranks.circle_radius": (stage.centre_distance, "the centre distance"),
-    }
-    if path not in how or not math.isclose(float(value), float(how[path][0]), rel_tol=1e-9):
-        return ""
-    return f"derived: {how[path][1]}"
 
 
 def comments(text: str, table: str = "design") -> dict[str, str]:
@@ -141,12 +89,6 @@ def _at(record: object, path: str) -> PyTree:
     for name in path.split("."):
         record = getattr(record, name, None)
     return record
-
-
-@quick(2, options=ONCE)  # one program instead of one for each operation
-def _geometry(k1: Scalar, stage: InvoluteStage, pins: int) -> tuple[Array, Array]:
-    """Least radius without undercut over that of the pin circle, and contact ratio."""
-    return least_convex_radius(k1, pins=pins), contact_ratio(stage)
 
 
 def given_paths(table: Toml, prefix: str = "") -> set[str]:

@@ -4,34 +4,25 @@ A wrong unit in a file is not detected elsewhere.
 """
 
 import dataclasses
-import math
 from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rvjax._reducer.plausible import KNOWN_DESIGNS, doubt, doubtful, shown, steep
-from rvjax.designs import RollerBearing, RVReducer
+from rvjax._reducer.plausible import doubt, doubtful, shown, steep
 from rvjax.errors import described
-from rvjax.life import dynamic_rating, static_rating
 from rvjax.outputs import Output
 from rvjax.records import Design, PyTree
+from rvjax.study.kinds import kind_of
 from rvjax.study.toleranced import Form, stated_by
 from rvjax.study.values import Metadata
 from rvjax.tolerances import Cost, Limits, Middle, Tolerance
-from rvjax.units import rpm
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-MOST_PRESSURE = math.radians(45)  # beyond, no tooth has a tip
-RATED = {"rv-20e": 167.0, "rv-40e": 412.0, "rv-80e": 784.0, "rv-320e": 3136.0}  # N m at 15 rpm, as makers print it
-TORQUE = min(RATED.values()), max(RATED.values())
 FAR_LIMIT = 10.0  # below the smallest known value of an output; assumed
-OF_SIZE = 0.9e6, 2.75e6  # rated torque over the cube of the pin circle, N/m2: 1.2e6 to 2.1e6 in RATED, widened by 1.3
-FAR_RATING = 5.0  # between a given rating and that of the same rollers; assumed
-SPEED = 75 * rpm  # of the output, at most: an RV-20E, as its maker prints it
 HALF_WIDTH = {"m": (0.5e-6, 40e-6), "rad": (1e-4, 9e-3), "-": (0.01, 0.3)}  # of the studies and sources in this package
 
 
@@ -41,8 +32,7 @@ def refuse_impossible(design: Design, tolerances: PyTree, costs: dict[str, Cost]
     Raises:
         ValueError: names the key, its value and what it collides with.
     """
-    if isinstance(design, RVReducer):
-        _fits_together(design)
+    kind_of(design).refuse(design)
     for field, tolerance, about in _toleranced(tolerances):
         part = _part(design, about["of"]) if about["unit"] != "-" else None
         widest = {f"tolerances.{field}": tolerance}
@@ -68,14 +58,14 @@ def doubts(
     forms: Mapping[str, Form] = MappingProxyType({}),
 ) -> list[str]:
     """Numbers that are far from those of every known reducer, a line each; tolerances as the file states them."""
-    found = [f"design.{line}" for line in steep(design) + doubtful(design)]
+    kind, found = kind_of(design), [f"design.{line}" for line in steep(design) + doubtful(design)]
     for f in dataclasses.fields(conditions):
-        if f.metadata["torque"] and isinstance(design, RVReducer):
+        if f.metadata["torque"]:
             value = abs(getattr(conditions, f.name) or 0.0)
-            found += doubt(f"conditions.{f.name}", value, "N m", 0.0, TORQUE[1])  # small loads are tests
+            found += doubt(f"conditions.{f.name}", value, "N m", 0.0, kind.largest_torque)  # small loads are tests
     for number, (torque, speed, _) in enumerate(getattr(conditions, "duty", None) or ()):
-        found += doubt(f"duty[{number}].output_torque", abs(torque), "N m", 0.0, TORQUE[1])
-        found += doubt(f"duty[{number}].output_speed", abs(speed), "rad/s", 0.0, SPEED)
+        found += doubt(f"duty[{number}].output_torque", abs(torque), "N m", 0.0, kind.largest_torque)
+        found += doubt(f"duty[{number}].output_speed", abs(speed), "rad/s", 0.0, kind.speed)
         found += _of_another_size(design, f"duty[{number}].output_torque", abs(torque))
     found += _of_another_size(design, "conditions.rated_torque", abs(getattr(conditions, "rated_torque", None) or 0.0))
     for field, tolerance, about in _toleranced(tolerances):
@@ -91,23 +81,13 @@ def doubts(
         for name, bound in described(tolerances, "bounds").items()
         if {name, bound.placed} <= given
     ]
-    if isinstance(design, RVReducer) and (odd := design.cycloid.pin_count - design.cycloid.disc_teeth) != 1:
-        found.append(f"design.cycloid.pin_count: {odd} more than disc_teeth; known reducers have one more")
-    return found + (_bearings(design) + _collisions(design) if isinstance(design, RVReducer) else [])
+    return found + kind.doubts(design)
 
 
 def _of_another_size(design: Design, name: str, torque: float) -> list[str]:
-    """A rated torque of catalogues that does not fit the pin circle: it may be left from the study of another size."""
-    sizes = [size for size, rated in RATED.items() if math.isclose(torque, rated, rel_tol=1e-3)]
-    if not sizes or not isinstance(design, RVReducer):
-        return []
-    least, most = (share * float(design.cycloid.pin_circle_radius) ** 3 for share in OF_SIZE)
-    if least <= torque <= most:
-        return []
-    return [
-        f"{name} = {shown(torque, 'N m')}: rated torque of the {sizes[0]}; with this pin circle known reducers have "
-        f"{shown(least, 'N m')} to {shown(most, 'N m')}"
-    ]
+    """A rated torque of catalogues that does not fit the design: it may be left from the study of another size."""
+    line = kind_of(design).of_another_size(design, torque)
+    return [f"{name} = {shown(torque, 'N m')}: {line}"] if line else []
 
 
 def doubtful_limits(requirements: Mapping[str, Limits], outputs: Mapping[str, Output]) -> list[str]:
@@ -151,64 +131,6 @@ def doubtful_costs(costs: Mapping[str, Cost], tolerances: PyTree) -> list[str]:
                 f"the initial one is {shown(half, unit)}"
             )
     return found
-
-
-def _fits_together(design: RVReducer) -> None:
-    cycloid, cranks = design.cycloid, design.cranks
-    if cycloid.pin_count <= cycloid.disc_teeth:
-        raise ValueError(
-            f"design.cycloid.pin_count = {cycloid.pin_count}: must exceed disc_teeth = {cycloid.disc_teeth}, by one in "
-            "every known reducer"
-        )
-    if not design.involute.pressure_angle < MOST_PRESSURE:
-        raise ValueError(
-            f"design.involute.pressure_angle = {shown(design.involute.pressure_angle, 'rad')}: must lie below "
-            f"{shown(MOST_PRESSURE, 'rad')}; gears have 14.5 to 30 deg"
-        )
-    pitch = cycloid.pin_circle_radius * math.sin(math.pi / cycloid.pin_count)
-    if cycloid.pin_radius >= pitch:
-        raise ValueError(
-            f"design.cycloid.pin_radius = {shown(cycloid.pin_radius, 'm')}: the pins overlap from {shown(pitch, 'm')} "
-            f"on ({cycloid.pin_count} pins on a circle of radius {shown(cycloid.pin_circle_radius, 'm')})"
-        )
-    root = cycloid.pin_circle_radius - cycloid.pin_radius - cycloid.eccentricity
-    if cranks.circle_radius >= root:
-        raise ValueError(
-            f"design.cranks.circle_radius = {shown(cranks.circle_radius, 'm')}: the cranks lie outside the discs, "
-            f"whose teeth end {shown(root, 'm')} from the centre"
-        )
-
-
-def _bearings(design: RVReducer) -> list[str]:
-    """Given ratings of the crank bearings that are far from what their rollers can carry."""
-    found = []
-    for place in ("arm", "support"):
-        bearing: RollerBearing | None = getattr(design.bearings, place, None)
-        for name, rating in (("capacity", dynamic_rating), ("static_capacity", static_rating)):
-            if bearing is not None and (given := getattr(bearing, name)) is not None:
-                own = float(rating(bearing.replace(**{name: None})))
-                if not own / FAR_RATING <= float(given) <= own * FAR_RATING:
-                    found.append(
-                        f"design.bearings.{place}.{name} = {shown(given, 'N')}: its rollers have a rating of "
-                        f"{shown(own, 'N')}; check the unit"
-                    )
-    return found
-
-
-def _collisions(design: RVReducer) -> list[str]:
-    """Neighbouring planets of one plane whose teeth overlap; published numbers with such an overlap give no warning."""
-    stage, cranks = design.involute, design.cranks
-    counted = stage.sun_teeth, stage.planet_teeth, cranks.count
-    if any(counted == (k.involute.sun_teeth, k.involute.planet_teeth, k.cranks.count) for k in KNOWN_DESIGNS[1:]):
-        return []
-    half = cranks.circle_radius * math.sin(math.pi / cranks.count)
-    tip = stage.module * (stage.planet_teeth + 2) / 2
-    if tip < half:
-        return []
-    return [
-        f"design.involute: the planets overlap: tip radius {shown(tip, 'm')} for teeth without shift, half their "
-        f"distance {shown(half, 'm')}"
-    ]
 
 
 def _part(design: Design, path: str) -> float | None:

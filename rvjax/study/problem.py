@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rvjax import identify, models
-from rvjax.designs import RVReducer
 from rvjax.measured import GRID, KINDS, Conditions, Loop, Measured, Run, Tones, checked
 from rvjax.outputs import Observation, torque_of
-from rvjax.records import PyTree
+from rvjax.records import Design, PyTree
 from rvjax.study.bench import (
     Curves,
     Midline,
@@ -23,6 +22,7 @@ from rvjax.study.bench import (
     signed_torques,
 )
 from rvjax.study.identification import Identification, planned_kind
+from rvjax.study.kinds import kind_of
 from rvjax.study.nuisances import NUISANCES
 from rvjax.study.study import Study, StudyError
 from rvjax.tolerances import Tolerance
@@ -208,10 +208,10 @@ def _fitted(run: Run, wanted: Sequence[int], beside: Sequence[int]) -> _Fitted:
     return _Fitted(np.array([value[k] for k in wanted]), float(found.mean), floor)
 
 
-def floor_orders(design: RVReducer, orders: Sequence[int]) -> list[int]:
+def floor_orders(design: Design, orders: Sequence[int]) -> list[int]:
     """The orders nearest to those of a study that no part of the reducer causes."""
     top = max(orders) + 200
-    parts = (design.cycloid.pin_count, design.cycloid.disc_teeth, round(design.ratio))
+    parts = of_parts(design) if (of_parts := kind_of(design).orders) else ()
     named = {0, 1, 2, 3, 4, *orders}
     named |= {m + side for part in parts for m in range(part, top, part) for side in (-1, 0, 1)}
     free = [k for k in range(5, top) if k not in named]

@@ -20,7 +20,7 @@ from rvjax.outputs import Joint, Reading, Solved, Source
 from rvjax.records import Design, PyTree, Record, Scalar, field, record, text
 from rvjax.response import per_response
 from rvjax.status import SUCCESS, Status, worst
-from rvjax.study.variables import changed
+from rvjax.study.kinds import changed
 from rvjax.tolerances import Outcome
 
 Settings = tuple[tuple[str, PyTree], ...]

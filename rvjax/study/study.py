@@ -16,6 +16,7 @@ from rvjax.levels import Choice, choose
 from rvjax.outputs import Curve, Output
 from rvjax.records import PyTree, Scalar
 from rvjax.study.identification import Identification
+from rvjax.study.kinds import changed, fields_of
 from rvjax.study.origin import Number, comments, design_numbers, given_paths, is_assumed
 from rvjax.study.plausible import doubtful_costs, doubtful_limits, doubts
 from rvjax.study.response import DesignResponse, Response, check_nominal, followed_bounds
@@ -25,7 +26,7 @@ from rvjax.study.values import (
     known,
     naming,
 )
-from rvjax.study.variables import Price, changed, fields_of
+from rvjax.study.variables import Price
 from rvjax.tolerances import Cost, Limits, Middle, Nominal, QuadraticLoss, Variable
 
 LONGEST = 200  # characters of a line

@@ -5,7 +5,8 @@ from contextlib import contextmanager
 from typing import Any
 
 from rvjax._ground.choices import UnknownWord, choose, unknown
-from rvjax.units import parse
+from rvjax._reducer.plausible import shown
+from rvjax.units import KNOWN, parse
 
 Toml = dict[str, object]
 """A table of a study file."""
@@ -128,3 +129,15 @@ def choice(value: object, choices: Iterable[str], where: str) -> str:
         where: key, for the message.
     """
     return choose(where, value, choices)
+
+
+def in_unit(value: float, unit: str, digits: int = 4) -> str:
+    """Text of a value in the unit in which it is at least one; a torsional stiffness per rad.
+
+    Args:
+        value: SI.
+        unit: SI unit.
+        digits: that are written.
+    """
+    name = unit if unit == "N m/rad" else shown(value, unit).split(" ", 1)[1]
+    return f"{float(f'{value / KNOWN.get(unit, {}).get(name, 1.0):.{digits}g}'):.12g} {name}"

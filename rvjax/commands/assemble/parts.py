@@ -14,8 +14,8 @@ from rvjax._ground.choices import unknown
 from rvjax.assembly import Kind, Machine, Part, Plan, UnitResponse, draw, known as known_parts, supply_of
 from rvjax.commands.assemble.inputs import Assembly
 from rvjax.designs import RVReducer
-from rvjax.mounting import carried, disc_mountings, drawing, unit_errors
-from rvjax.study import Study, StudyError
+from rvjax.mounting import carried, disc_mountings, drawing
+from rvjax.study import KINDS, Study, StudyError, kind_of
 from rvjax.tolerances import Requirement, Tolerance
 from rvjax.units import KNOWN, spelling
 
@@ -79,8 +79,9 @@ def bench(study: Study, path: str | Path) -> Bench:
     Raises:
         StudyError: names file, line, column and value.
     """
-    if not isinstance(study.design, RVReducer):
-        raise StudyError(f"{study.name}: parts are matched for RV reducers only")
+    if (unit_errors := kind_of(study.design).unit_errors) is None:
+        able = " and ".join(kind.plural for kind in KINDS.values() if kind.unit_errors)
+        raise StudyError(f"{study.name}: parts are matched for {able} only")
     name, requirement = _asked(study)
     rows = _rows(Path(path))
     groups: dict[str, list[Row]] = {}

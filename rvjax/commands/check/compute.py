@@ -6,9 +6,8 @@ from rvjax import models
 from rvjax.commands.cells import condition_text
 from rvjax.commands.check.inputs import Inputs
 from rvjax.commands.forecast import choices
-from rvjax.designs import RVReducer
 from rvjax.levels import Choice
-from rvjax.study import KNOWN_DESIGNS, TORQUE, Study, facts_of, numbers, shown
+from rvjax.study import Study, facts_of, kind_of, numbers, shown
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +32,8 @@ def compute(inputs: Inputs) -> Checked:
 
 
 def _magnitudes(study: Study) -> list[tuple[str, str, str | None]]:
-    known = [dict(numbers(one)) for one in KNOWN_DESIGNS if type(one) is type(study.design)]
+    of_kind = kind_of(study.design)
+    known = [dict(numbers(one)) for one in of_kind.bases.values()]
     rows: list[tuple[str, str, str | None]] = []
     for name, (value, unit) in numbers(study.design):
         seen = [one[name][0] for one in known if name in one]
@@ -44,7 +44,7 @@ def _magnitudes(study: Study) -> list[tuple[str, str, str | None]]:
         value = getattr(study.conditions, f.name)
         if f.name in kind.conditions_of(tuple(study.requirements)) and value is not None:
             number = condition_text(value, f.metadata)
-            rated = f.metadata["torque"] and isinstance(study.design, RVReducer)
-            span = f"up to {shown(TORQUE[1], 'N m')}" if rated else None
+            rated = f.metadata["torque"] and of_kind.rated
+            span = f"up to {shown(of_kind.largest_torque, 'N m')}" if rated else None
             rows.append((f"conditions.{f.name}", number, span))
     return rows

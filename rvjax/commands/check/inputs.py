@@ -6,8 +6,7 @@ from pathlib import Path
 
 from rvjax import study
 from rvjax.commands.speak import check_files
-from rvjax.designs import RVReducer
-from rvjax.study import Study
+from rvjax.study import KINDS, Study, kind_of
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,7 @@ def inputs(options: argparse.Namespace) -> Inputs:
     """
     check_files(options, picture=".png")
     loaded = study.load(options.study, solve=False)
-    if options.picture and not isinstance(loaded.design, RVReducer):
-        kind = type(loaded.design).__name__
-        raise ValueError(f"--picture {options.picture}: plots RV reducers only, not a {kind}")
+    if options.picture and kind_of(loaded.design).drawing is None:
+        able = " and ".join(kind.plural for kind in KINDS.values() if kind.drawing)
+        raise ValueError(f"--picture {options.picture}: plots {able} only, not a {type(loaded.design).__name__}")
     return Inputs(loaded, Path(options.picture) if options.picture else None, options.study)

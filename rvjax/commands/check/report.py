@@ -2,15 +2,13 @@
 
 import dataclasses
 
-import rvjax
 from rvjax.commands.allocate import expected
 from rvjax.commands.cells import assumed_text, limit_text, limits_data, limits_of
 from rvjax.commands.check.compute import Checked
 from rvjax.commands.check.inputs import Inputs
 from rvjax.commands.forecast import level_lines
-from rvjax.designs import RVReducer
 from rvjax.render import Cell, Figure, Limits, Note, Number, Report, Table, Text
-from rvjax.study import Study, numbers, shown
+from rvjax.study import Study, kind_of, numbers, shown
 
 
 def report(inputs: Inputs, found: Checked) -> Report:
@@ -20,11 +18,14 @@ def report(inputs: Inputs, found: Checked) -> Report:
         inputs: inputs of the command.
         found: its result.
     """
+    design = inputs.study.design
+    drawing = kind_of(design).drawing if inputs.picture else None
+    figure = drawing and Figure("design", "The reducer to scale", lambda: drawing.reducer(design))
     return Report(
         title=f"{inputs.study.name}: check",
         content=tuple(_content(inputs.study, found, inputs.source)),
         data=_data(inputs.study, found),
-        exports={inputs.picture: drawing(inputs.study.design).content()} if inputs.picture else {},
+        exports={inputs.picture: figure.content()} if inputs.picture and figure else {},
     )
 
 
@@ -121,8 +122,3 @@ def _data(study: Study, found: Checked) -> dict[str, object]:
         "left_out": study.left_out,
         "doubts": study.doubts,
     }
-
-
-def drawing(design: RVReducer) -> Figure:
-    """A drawing of an RV reducer to scale."""
-    return Figure("design", "The reducer to scale", lambda: rvjax.plotting.drawings.reducer(design))

@@ -9,9 +9,9 @@ from rvjax._ground import progress
 from rvjax.commands.compensate.inputs import Inputs
 from rvjax.commands.speak import READING, WRITING
 from rvjax.compensation import Correction, Table, correction, significant, table
-from rvjax.designs import RVReducer
 from rvjax.identify import Orders, orders
-from rvjax.study import Run, Study, StudyError, read_measured
+from rvjax.records import PyTree
+from rvjax.study import KINDS, Run, Study, StudyError, kind_of, read_measured
 
 CORRECTING = "orders of the curves"
 SPARE = 4  # points for every number that is fitted
@@ -105,8 +105,9 @@ def corrections(
     Raises:
         ValueError: names file, row, column and value.
     """
-    if not isinstance(study.design, RVReducer):
-        raise StudyError(f"{study.name}: an RV reducer is needed, whose ratio and pins are read")
+    if kind_of(study.design).orders is None:
+        able = " or ".join(kind.name for kind in KINDS.values() if kind.orders)
+        raise StudyError(f"{study.name}: {able} is needed, whose ratio and pins are read")
     columns = None if study.identification is None else study.identification.columns
     runs = [run for run in read_measured([path], columns, kind="curve").runs if len(run.angle)]
     if not runs:
@@ -114,7 +115,7 @@ def corrections(
     return Corrections(tuple(_curve(study.design, run, angle_sd, count, first_order) for run in runs))
 
 
-def _curve(design: RVReducer, run: Run, angle_sd: float, count: int | None, first_order: bool) -> Curve:
+def _curve(design: PyTree, run: Run, angle_sd: float, count: int | None, first_order: bool) -> Curve:
     most = 3 * design.cycloid.pin_count
     fitted = np.arange(1, min(most, (len(run.angle) // SPARE - 1) // 2) + 1)
     try:

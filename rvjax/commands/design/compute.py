@@ -21,7 +21,7 @@ from rvjax._ground import progress
 from rvjax.commands.design.inputs import Inputs
 from rvjax.commands.speak import READING, WRITING
 from rvjax.records import Array, PyTree
-from rvjax.study import Law, Study, StudyError, laws_of
+from rvjax.study import Law, Study, StudyError, kind_of
 from rvjax.tolerances import Allocation, Memo, Variable, allocate
 
 NEAREST = 1e-5  # weight of the distance to the start, against the change of the cost over the ranges
@@ -181,8 +181,8 @@ def phases(inputs: Inputs) -> dict[str, float]:
 
 def compute(inputs: Inputs) -> Designed:
     """All optima that the options require."""
-    study, laws = inputs.study, laws_of(inputs.study.design, inputs.study.variables, inputs.study.given)
-    memo = inputs.memo
+    study, memo = inputs.study, inputs.memo
+    laws = kind_of(study.design).following.called(study.design, study.variables, study.given)
     progress.begin(JOINT)
     joint = _optimum(inputs, study.variables, memo=memo)
     two_step, fixed, unscaled, front = None, dict[str, float](), None, list[Point]()
@@ -193,7 +193,7 @@ def compute(inputs: Inputs) -> Designed:
         for path, value in fixed.items():
             held[path] = dataclasses.replace(held[path], lower=value, upper=value, start=value, among=())
         two_step = _optimum(inputs, held, memo=memo)
-        if any(law.name != "gears" for law, _ in laws):
+        if any(not law.exact for law, _ in laws):
             progress.begin(UNSCALED)
             unscaled = _optimum(inputs, _from(study.variables, joint), similar=False, memo=memo)
     if inputs.front and joint.found.feasible:

@@ -4,9 +4,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from rvjax.commands.design.compute import Designed, Point
-from rvjax.designs import RVReducer
 from rvjax.render import Figure
-from rvjax.study import Study
+from rvjax.study import Study, kind_of
 
 
 def figures(study: Study, found: Designed) -> Iterator[Figure]:
@@ -16,14 +15,8 @@ def figures(study: Study, found: Designed) -> Iterator[Figure]:
         study: with variables.
         found: result of the command.
     """
-    if isinstance(study.design, RVReducer):
-
-        def section() -> Any:
-            from rvjax.plotting import drawings
-
-            return drawings.before_and_after(study.design, found.joint.design)
-
-        yield Figure("section", "Section of the second stage, drawn to scale, before and after", section)
+    if drawing := kind_of(study.design).drawing:
+        yield Figure("section", drawing.comparison, lambda: drawing.compared(study.design, found.joint.design))
     if found.front:
 
         def front() -> Any:

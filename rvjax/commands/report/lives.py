@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rvjax import life
-from rvjax.designs import RVReducer
 from rvjax.population import Population, drawn, root_key
-from rvjax.records import PyTree, Record, field, record, text
+from rvjax.records import Design, PyTree, Record, field, record, text
 from rvjax.response import per_response
 from rvjax.study import Study
 
@@ -81,7 +80,7 @@ class Lives:
 class _Rated(Record):
     """Lives of the crank bearings of one unit under a duty."""
 
-    design: RVReducer = field("-", "the reducer", kind="record")
+    design: Design = field("-", "the reducer", kind="record")
     ways: tuple[tuple[str, Any], ...] = text("arguments of the rating")
 
     def __call__(self, errors: PyTree, duty: PyTree) -> PyTree:
@@ -92,7 +91,7 @@ class _Rated(Record):
 class _Turned(Record):
     """Orders (discs, cranks, orders) of the forces of one unit under a torque, N."""
 
-    design: RVReducer = field("-", "the reducer", kind="record")
+    design: Design = field("-", "the reducer", kind="record")
     ways: tuple[tuple[str, Any], ...] = text("arguments of the orders")
 
     def __call__(self, errors: PyTree, torque: PyTree) -> PyTree:
@@ -118,13 +117,13 @@ class _Question(NamedTuple):
     @staticmethod
     def of(study: Study, tolerances: PyTree) -> "_Question | None":
         """None where the study requires no life."""
-        if not isinstance(study.design, RVReducer) or not any(name in study.requirements for name in LIVES):
+        if not any(name in study.requirements for name in LIVES):
             return None
         given = study.conditions
         supports = dict(contact=given.pin_contact, carrier=given.carrier, sun=given.sun)
         samples = given.life_samples or given.samples
         ways = dict(samples=samples, method=given.life_method, reliability=given.reliability) | supports
-        orders = dict(samples=8 * study.design.cycloid.pin_count) | supports
+        orders = dict(samples=8 * study.design.counts["pins"]) | supports
         return _Question(
             _Rated(study.design, tuple(ways.items())),
             _Turned(study.design, tuple(orders.items())),
@@ -162,7 +161,7 @@ def lives_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> Liv
     if (asked := _Question.of(study, tolerances)) is None:
         return None
     unit, turned, population, duty, torque = asked
-    given, pins = study.conditions, unit.design.cycloid.pin_count
+    given, pins = study.conditions, unit.design.counts["pins"]
 
     # The first unit has every error at the centre of its limits; the others are random.
     z = np.asarray(drawn(population, root_key(study.seed + 3), jnp.uint32(0), count=units + 1)).copy()

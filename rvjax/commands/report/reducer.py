@@ -1,11 +1,9 @@
 """Section of the page on the reducer: every number with its source, and a drawing."""
 
-import rvjax
 from rvjax import catalogue
-from rvjax.designs import RVReducer
 from rvjax.records import PyTree
 from rvjax.render import Cell, Figure, Note, Section, Table, Text, Titled
-from rvjax.study import Study, facts_of, shown
+from rvjax.study import Study, facts_of, kind_of, shown
 
 
 def design_section(study: Study) -> Section:
@@ -16,8 +14,8 @@ def design_section(study: Study) -> Section:
         rows.append([name, _value(one.value, one.unit), one.origin, "assumed" if one.assumed else ""])
     rows += [[name, value, "follows from the numbers above", ""] for name, value in facts_of(study.design)]
     parts: list[Note | Table | Figure] = []
-    if isinstance(study.design, RVReducer):
-        parts.append(Figure("design", _drawn(study.design), lambda: rvjax.plotting.drawings.reducer(study.design)))
+    if drawing := kind_of(study.design).drawing:
+        parts.append(Figure("design", drawing.caption(study.design), lambda: drawing.reducer(study.design)))
     if study.assumed:
         parts.append(Note("Values marked assumed are not published: the result depends on them."))
     if study.base:
@@ -33,13 +31,3 @@ def _value(value: PyTree, unit: str) -> str:
     if getattr(value, "shape", ()) or isinstance(value, list | tuple):
         return ", ".join(_value(item, unit) for item in value)
     return shown(value, unit) if unit != "-" else f"{float(value):.6g}"
-
-
-def _drawn(design: RVReducer) -> str:
-    cycloid = design.cycloid
-    return (
-        f"Second stage along its axis, to scale; diameters: {cycloid.pin_count} pins of "
-        f"{shown(2 * cycloid.pin_radius, 'm')} on a circle of {shown(2 * cycloid.pin_circle_radius, 'm')}, one of "
-        f"{cycloid.disc_count} discs, {design.cranks.count} cranks on a circle of "
-        f"{shown(2 * design.cranks.circle_radius, 'm')}"
-    )

@@ -5,22 +5,20 @@ Every such number has a reason with the word "assumed", the scaling law and the 
 
 import dataclasses
 import functools
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 
 import numpy as np
 
 from rvjax import catalogue
 from rvjax._reducer.plausible import shown
-from rvjax.catalogue import part_class
 from rvjax.designs import InvoluteStage, RVReducer
 from rvjax.life import static_rating
 from rvjax.records import PyTree, Scalar
-from rvjax.study.design import BASES
-from rvjax.study.plausible import RATED
-from rvjax.study.read import load
-from rvjax.study.values import Metadata
-from rvjax.study.variables import AXIAL, NAMES, OF_A_SIZE, SIZES, Law, changed, number_at, outside
+from rvjax.study.kinds.following import Law, fields_of_kind, number_at, outside
+from rvjax.study.kinds.kind import Assumed, Numbers
+from rvjax.study.kinds.rv import plausible
+from rvjax.study.kinds.rv.following import AXIAL, FOLLOWING, LAWS, NAMES, SIZES
+from rvjax.study.kinds.rv.plausible import RATED
 from rvjax.units import mm
 
 RING, CIRCLE, DISCS = "cycloid.pin_circle_radius", "cranks.circle_radius", "cycloid.disc_count"
@@ -33,47 +31,10 @@ NEEDED = (
 PARTS = ("involute", "cycloid", "cranks", "stiffness", "contact", "bearings")
 """Parts of a design that the loaded model reads."""
 PLACES = ("bearings.disc_position", "bearings.planet_position", "bearings.support_span")
-MODIFICATIONS = ("cycloid.equidistant_modification", "cycloid.shift_modification")
 SAFETY, START = 1.5, 2.5  # assumed: static safety at start and stop, whose torque is 2.5 times the rated one
 
 
-@dataclass(frozen=True)
-class Assumed:
-    """A number that no source gives.
-
-    Attributes:
-        value: SI, or a count.
-        why: where it comes from.
-        outside: the numbers that lie outside the interval of its scaling law, a line each.
-    """
-
-    value: PyTree
-    why: str
-    outside: tuple[str, ...] = ()
-
-
-def fields_of_kind(cls: type, prefix: str = "") -> Iterator[tuple[str, Metadata, object]]:
-    """(path, metadata, default) of every number that a design may have.
-
-    Args:
-        cls: of designs, or of a part.
-        prefix: of the paths.
-    """
-    for f in dataclasses.fields(cls):
-        if f.metadata["kind"] == "record":
-            yield from fields_of_kind(part_class(cls, f.name), f"{prefix}{f.name}.")
-        else:
-            yield prefix + f.name, f.metadata, f.default
-
-
-def lacking(given: Mapping[str, PyTree]) -> list[str]:
-    """Numbers that a drawing must have and that these lack, with their meaning, a line each."""
-    about = {path: metadata for path, metadata, _ in fields_of_kind(RVReducer)}
-    units = {path: "" if about[path]["unit"] == "-" else f", in {about[path]['unit']}" for path in NEEDED}
-    return [f"{path} ({about[path]['meaning']}{units[path]})" for path in NEEDED if path not in given]
-
-
-def completed(given: Mapping[str, PyTree]) -> dict[str, Assumed]:
+def completed(given: Numbers) -> dict[str, Assumed]:
     """Numbers of the loaded reducer that are not given, by path.
 
     Args:
@@ -93,22 +54,15 @@ def completed(given: Mapping[str, PyTree]) -> dict[str, Assumed]:
         found |= _places(follows, numbers[DISCS])
     if ARM in found and (tight := _tight({**numbers, **{path: item.value for path, item in found.items()}})):
         found[ARM] = dataclasses.replace(found[ARM], outside=(*found[ARM].outside, tight))
-    if not any(numbers.get(path) for path in MODIFICATIONS):
-        numbers |= {path: item.value for path, item in found.items()}
-        ratio, _ = tolerance_ratios(numbers)["equidistant_modification"]
-        value = load("rv-40e-whole", solve=False).design.cycloid.equidistant_modification
-        much = f"{ratio:.3g} times" if ratio != 1 else "as"
-        found[MODIFICATIONS[0]] = Assumed(ratio * value, f"assumed: {much} that of the study rv-40e-whole")
     return found
 
 
-OWN: dict[str, RVReducer] = {name: design for name, design in BASES.items() if isinstance(design, RVReducer)}
-del OWN["rv-40e"]  # a part of the whole one
+OWN = {name: design for name, design in plausible.OWN.items() if name != "rv-40e"}  # a part of the whole one
 """Known reducers, from whose numbers others are scaled."""
 
 
 def _law_of(path: str) -> Law | None:
-    return next((law for law in OF_A_SIZE if path in law.numbers), None)
+    return next((law for law in LAWS if path in law.numbers), None)
 
 
 @functools.cache
@@ -116,7 +70,7 @@ def _whole(name: str) -> RVReducer:
     """A known reducer with every number that a scaling law reads."""
     design = OWN[name]
     if design.contact is None:
-        width = changed(catalogue.RV_40E_WHOLE, {RING: design.cycloid.pin_circle_radius}, whole=True).contact
+        width = FOLLOWING.changed(catalogue.RV_40E_WHOLE, {RING: design.cycloid.pin_circle_radius}, whole=True).contact
         design = design.replace(contact=width)
     return design
 
@@ -131,7 +85,7 @@ def _nearest(ring: Scalar, names: list[str]) -> str:
     return min(names, key=lambda name: abs(float(np.log(ring / OWN[name].cycloid.pin_circle_radius))))
 
 
-def _geometry(given: Mapping[str, PyTree]) -> dict[str, Assumed]:
+def _geometry(given: Numbers) -> dict[str, Assumed]:
     """Numbers of gears, cranks and discs that a drawing may leave open."""
     found = dict[str, Assumed]()
     near = _nearest(given[RING], list(OWN))
@@ -155,7 +109,7 @@ def _geometry(given: Mapping[str, PyTree]) -> dict[str, Assumed]:
 def _scaled(path: str, follows: Mapping[str, Scalar], name: str) -> Assumed:
     """A number of a known reducer, by the scaling law that it follows."""
     donor = _whole(name)
-    target = changed(donor, follows, whole=True)
+    target = FOLLOWING.changed(donor, follows, whole=True)
     return Assumed(number_at(target, path), *_reason(_law_of(path), donor, target, name))
 
 
@@ -178,7 +132,7 @@ def _places(follows: Mapping[str, Scalar], discs: int) -> dict[str, Assumed]:
     """Axial places: those of a known reducer in proportion to the width; further discs side by side."""
     name = "rv-40e-whole"  # no other has them
     donor = _whole(name)
-    target = changed(donor, follows, whole=True)
+    target = FOLLOWING.changed(donor, follows, whole=True)
     own, why = target.bearings, _reason(AXIAL, donor, target, name)
     assert own is not None
     first, last = (float(own.disc_position[k]) for k in (0, -1))
@@ -191,7 +145,7 @@ def _places(follows: Mapping[str, Scalar], discs: int) -> dict[str, Assumed]:
     return {path: Assumed(value, *why) for path, value in zip(PLACES, values)}
 
 
-def _tight(numbers: Mapping[str, PyTree]) -> str:
+def _tight(numbers: Numbers) -> str:
     """Line on a turning-arm bearing without space between the crank axis and the roots of the disc, else ""."""
     ring, pin, e = (numbers[f"cycloid.{name}"] for name in ("pin_circle_radius", "pin_radius", "eccentricity"))
     least = 2 * min(ring - pin - 2 * e - numbers[CIRCLE], numbers[CIRCLE] * np.sin(np.pi / numbers["cranks.count"]))
@@ -201,19 +155,15 @@ def _tight(numbers: Mapping[str, PyTree]) -> str:
     return f"bearings.arm: {shown(outer, 'm')} across the rollers, but the disc has {shown(least, 'm')} there (assumed)"
 
 
-def rated_torque(ring: float) -> Assumed:
-    """Rated torque at 15 r/min, N m, from the nearest size of a catalogue.
-
-    Args:
-        ring: radius of the pin circle, m.
-    """
-    law = _law_of("rated_torque")
+def rated_torque(numbers: Numbers) -> Assumed:
+    """Rated torque at 15 r/min, N m, from the nearest size of a catalogue."""
+    law, ring = _law_of("rated_torque"), numbers[RING]
     assert law is not None
-    name = _nearest(ring, [name for name in OWN if name in RATED or name.removesuffix("-whole") in RATED])
+    name = _nearest(ring, list(OWN))
     donor = OWN[name]
-    target = changed(donor, {RING: ring}, whole=True)
+    target = FOLLOWING.changed(donor, {RING: ring}, whole=True)
     ratio = ring / donor.cycloid.pin_circle_radius
-    value = RATED[name.removesuffix("-whole")] * ratio ** law.follows[RING]
+    value = RATED[name] * ratio ** law.follows[RING]
     return Assumed(float(f"{value:.3g}"), *_reason(law, donor, target, name))
 
 
@@ -227,7 +177,7 @@ def tolerance_unit(diameter: Scalar) -> Scalar:
     return 1e-6 * (0.45 * size ** (1 / 3) + 0.001 * size)
 
 
-def tolerance_ratios(numbers: Mapping[str, PyTree]) -> dict[str, tuple[float, str]]:
+def tolerance_ratios(numbers: Numbers) -> dict[str, tuple[float, str]]:
     """Ratio of each tolerance to that of `rv-40e-whole`, rounded to 0.01, and the size that it belongs to.
 
     Args:

@@ -1,0 +1,169 @@
+"""What studies, commands and plots read of a kind of reducer, beside the numbers of its record, in one object."""
+
+import math
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from rvjax.catalogue import BASES
+from rvjax.records import PyTree
+from rvjax.study.kinds.following import Following
+from rvjax.study.values import Toml
+
+Numbers = Mapping[str, PyTree]
+"""Numbers of a design by path, SI."""
+
+
+@dataclass(frozen=True)
+class Assumed:
+    """A number that no source gives.
+
+    Attributes:
+        value: SI, or a count.
+        why: where it comes from.
+        outside: the numbers that lie outside the interval of its scaling law, a line each.
+    """
+
+    value: PyTree
+    why: str
+    outside: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Known:
+    """The reducer of a new study, as its source gives it.
+
+    Attributes:
+        name: of the known reducer, or of the file of the drawing.
+        kind: of the design, as study files name it.
+        numbers: given ones by path, SI.
+        said: further comment of a number by its path, such as "assumed".
+        torque: rated torque, N m, with its reason; None: of no catalogue.
+        drawing: the numbers are those of a file.
+        unread: tables of the file that are not taken over.
+    """
+
+    name: str
+    kind: str
+    numbers: Numbers
+    said: Mapping[str, str]
+    torque: Assumed | None
+    drawing: bool = False
+    unread: tuple[str, ...] = ()
+
+
+def _as_they_are(given: Known, example: PyTree) -> tuple[Numbers, dict[str, Assumed]]:
+    return given.numbers, {}
+
+
+def _unchanged(text: str, numbers: Numbers, torque: Assumed | None) -> str:
+    return text
+
+
+HEAD = (
+    "# A study to change, with the numbers of the {name}: replace them by those of your drawing, then run\n"
+    "# rvjax check on this file. Tolerances, costs and limits are assumed.\n\n"
+)
+
+
+@dataclass(frozen=True)
+class Start:
+    """A new study of one model, as `rvjax init` writes it.
+
+    Attributes:
+        study: embedded study with the tables after [design].
+        parts: tables of [design] that the model reads.
+        head: comment at the top; {name} is the reducer.
+        complete: (reducer as its source gives it, design of the embedded study) -> (numbers that are taken over,
+            numbers that the source lacks, by path).
+        tables: (text of the tables after [design], all numbers, rated torque) -> this text for the reducer.
+        unread: numbers -> comment on what the model does not read of a reducer that contradicts itself.
+    """
+
+    study: str
+    parts: tuple[str, ...] = ()
+    head: str = HEAD
+    complete: Callable[[Known, Any], tuple[Numbers, Mapping[str, Assumed]]] = _as_they_are
+    tables: Callable[[str, Numbers, Assumed | None], str] = _unchanged
+    unread: Callable[[Numbers], str] = lambda numbers: ""
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """Drawings of a design, to scale.
+
+    Attributes:
+        reducer: design -> axes.
+        caption: design -> title of the drawing on a page.
+        compared: (design before, design after) -> axes.
+        comparison: title of the drawing of two designs.
+    """
+
+    reducer: Callable[[Any], Any]
+    caption: Callable[[Any], str]
+    compared: Callable[[Any, Any], Any]
+    comparison: str
+
+
+@dataclass(frozen=True, eq=False)
+class Kind:
+    """A kind of reducer; the defaults are those of a kind of which nothing is known but its record.
+
+    Attributes:
+        design: class of its designs; `catalogue.BASES` has the known ones.
+        name: in messages, with its article.
+        facts: design -> (name, value) of what follows from its numbers.
+        derivation: (design, path, value) -> how this value follows from other numbers; "" where it does not.
+        derived_from: paths of the numbers that derivations read or give.
+        followed: (design, table [design] of its study) -> the design, with what follows from the numbers given there;
+            raises ValueError where they contradict each other.
+        implied: numbers -> paths that a study need not give, because their values follow from the others.
+        following: what follows a number that changes.
+        refuse: design -> None; raises ValueError, one line, for parts that do not fit together.
+        doubts: design -> lines on numbers that no known reducer has.
+        rated: rated torque of known reducers by name, N m.
+        speed: largest speed of the output of known reducers, rad/s.
+        of_another_size: (design, torque) -> line on a rated torque that belongs to a reducer of another size, or "".
+        orders: design -> orders of the output revolution of its parts; None where no bench measures its curve.
+        unit_errors: `rvjax.mounting.unit_errors` or its like; None where no parts are matched.
+        drawing: to scale; None: no drawing.
+        starts: new studies by model, the usual one first.
+        needed: paths of the numbers that a file must give where `rvjax init` begins with it; empty: with known
+            reducers only.
+        torque: numbers -> rated torque, N m, where such a file gives none.
+    """
+
+    design: type
+    name: str
+    facts: Callable[[Any], Iterable[tuple[str, str]]] = lambda design: ()
+    derivation: Callable[[Any, str, Any], str] = lambda design, path, value: ""
+    derived_from: frozenset[str] = frozenset()
+    followed: Callable[[Any, Toml], Any] = lambda design, given: design
+    implied: Callable[[Numbers], Collection[str]] = lambda numbers: ()
+    following: Following = field(default_factory=Following)
+    refuse: Callable[[Any], None] = lambda design: None
+    doubts: Callable[[Any], list[str]] = lambda design: []
+    rated: Mapping[str, float] = field(default_factory=dict)
+    speed: float = math.inf
+    of_another_size: Callable[[Any, float], str] = lambda design, torque: ""
+    orders: Callable[[Any], tuple[int, ...]] | None = None
+    unit_errors: Callable[..., Any] | None = None
+    drawing: Drawing | None = None
+    starts: Mapping[str, Start] = field(default_factory=dict)
+    needed: tuple[str, ...] = ()
+    torque: Callable[[Numbers], Assumed | None] = lambda numbers: None
+
+    @property
+    def plural(self) -> str:
+        """Name of several, without an article."""
+        return f"{self.name.partition(' ')[2]}s"
+
+    @property
+    def bases(self) -> dict[str, PyTree]:
+        """Known designs by the name that study files give them."""
+        return {name: design for name, design in BASES.items() if type(design) is self.design}
+
+    @property
+    def largest_torque(self) -> float:
+        """Largest rated torque of known reducers, N m; infinite where none is known."""
+        return max(self.rated.values(), default=math.inf)

@@ -1,0 +1,63 @@
+"""RV reducers."""
+
+from typing import Any
+
+from rvjax._reducer.plausible import shown
+from rvjax.designs import RVReducer
+from rvjax.mounting import unit_errors
+from rvjax.study.kinds.kind import Drawing, Kind
+from rvjax.study.kinds.rv.facts import DERIVED_FROM, derivation, facts, followed, implied
+from rvjax.study.kinds.rv.following import FOLLOWING
+from rvjax.study.kinds.rv.plausible import RATED as RATED, SPEED, TORQUE as TORQUE, doubts, of_another_size, refuse
+from rvjax.study.kinds.rv.sizes import NEEDED, rated_torque
+from rvjax.study.kinds.rv.starts import STARTS
+
+
+def _orders(design: RVReducer) -> tuple[int, ...]:
+    """Of pins, teeth of a disc, and sun."""
+    return design.cycloid.pin_count, design.cycloid.disc_teeth, round(design.ratio)
+
+
+def _caption(design: RVReducer) -> str:
+    cycloid = design.cycloid
+    return (
+        f"Second stage along its axis, to scale; diameters: {cycloid.pin_count} pins of "
+        f"{shown(2 * cycloid.pin_radius, 'm')} on a circle of {shown(2 * cycloid.pin_circle_radius, 'm')}, one of "
+        f"{cycloid.disc_count} discs, {design.cranks.count} cranks on a circle of "
+        f"{shown(2 * design.cranks.circle_radius, 'm')}"
+    )
+
+
+def _drawn(design: RVReducer) -> Any:
+    from rvjax.plotting import drawings  # only a drawing needs Matplotlib
+
+    return drawings.reducer(design)
+
+
+def _compared(before: RVReducer, after: RVReducer) -> Any:
+    from rvjax.plotting import drawings
+
+    return drawings.before_and_after(before, after)
+
+
+KIND = Kind(
+    design=RVReducer,
+    name="an RV reducer",
+    facts=facts,
+    derivation=derivation,
+    derived_from=DERIVED_FROM,
+    followed=followed,
+    implied=implied,
+    following=FOLLOWING,
+    refuse=refuse,
+    doubts=doubts,
+    rated=RATED,
+    speed=SPEED,
+    of_another_size=of_another_size,
+    orders=_orders,
+    unit_errors=unit_errors,
+    drawing=Drawing(_drawn, _caption, _compared, "Section of the second stage, drawn to scale, before and after"),
+    starts=STARTS,
+    needed=NEEDED,
+    torque=rated_torque,
+)

@@ -1,0 +1,126 @@
+"""What follows from the numbers of an RV reducer: ratio, gaps, undercut, contact ratio; radii of standard gears.
+
+Where a study changes what a number follows from, the number follows; where it gives both, they must agree. A published
+design that contradicts itself keeps its numbers as long as nothing of that part is changed.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from rvjax._jax.compile_cache import ONCE, quick
+from rvjax._reducer.plausible import shown
+from rvjax.designs import InvoluteStage, RVReducer
+from rvjax.geometry import contact_ratio, least_convex_radius
+from rvjax.records import Array, PyTree, Scalar
+from rvjax.study.values import Toml, subtable
+
+GEARS = ("sun_teeth", "planet_teeth", "module", "pressure_angle")
+PROFILE = ("eccentricity", "pin_count", "pin_circle_radius")
+# Share by which a given number may differ from what it follows from: rounding of drawings; profile shift of the gears
+# (one module at ten and thirty teeth); cranks off the planets' axes by a rounded shift (0.8 % in the RV-320E).
+AGREE = {"sun_radius": 2e-3, "sun_base_radius": 2e-3, "planet_base_radius": 2e-3, "centre_distance": 0.05}
+AGREE_CIRCLE = 0.02
+DERIVED_FROM = frozenset(f"involute.{name}" for name in (*GEARS, *AGREE))
+"""Paths that gears and crank circle are derived from."""
+
+
+def facts(design: RVReducer) -> Iterator[tuple[str, str]]:
+    """(name, value) of what follows from the numbers of a design."""
+    cycloid, stage = design.cycloid, design.involute
+    gap = 2 * (cycloid.pin_circle_radius * math.sin(math.pi / cycloid.pin_count) - cycloid.pin_radius)
+    k1 = cycloid.shortening_coefficient
+    smallest, ratio = map(float, _geometry(k1, stage, cycloid.pin_count))
+    least = smallest * cycloid.pin_circle_radius
+    yield "ratio", f"{design.ratio:.6g}"
+    yield "K1", f"{float(k1):.4g}"
+    yield "gap between pins", shown(gap, "m")
+    sharp = "undercut" if cycloid.pin_radius >= least else "no undercut"
+    yield (
+        "largest pin without undercut",
+        f"{shown(least, 'm')} radius; the pins have {shown(cycloid.pin_radius, 'm')}: {sharp}",
+    )
+    yield "contact ratio of the gears", f"{ratio:.3g} (teeth without shift)"
+
+
+@quick(2, options=ONCE)  # one program instead of one for each operation
+def _geometry(k1: Scalar, stage: InvoluteStage, pins: int) -> tuple[Array, Array]:
+    """Least radius without undercut over that of the pin circle, and contact ratio."""
+    return least_convex_radius(k1, pins=pins), contact_ratio(stage)
+
+
+def _standard(values: Mapping[str, PyTree]) -> InvoluteStage:
+    """Gears without profile shift, with these teeth, module and pressure angle."""
+    return InvoluteStage.from_teeth(**{name: values[name] for name in GEARS})
+
+
+def derivation(design: RVReducer, path: str, value: Scalar) -> str:
+    """Derivation of a number of standard gears, or of the crank circle, with the numbers of this design; else "".
+
+    Args:
+        design: the reducer.
+        path: of the number.
+        value: of the number, SI.
+    """
+    stage = design.involute
+    gears = _standard(vars(stage))
+    module, angle = shown(stage.module, "m"), f"cos {math.degrees(float(stage.pressure_angle)):g} deg"
+    how = {
+        "involute.centre_distance": (gears.centre_distance, f"{module} ({stage.sun_teeth} + {stage.planet_teeth})/2"),
+        "involute.sun_radius": (gears.sun_radius, f"{module} * {stage.sun_teeth}/2"),
+        "involute.sun_base_radius": (gears.sun_base_radius, f"{module} * {stage.sun_teeth}/2 * {angle}"),
+        "involute.planet_base_radius": (gears.planet_base_radius, f"{module} * {stage.planet_teeth}/2 * {angle}"),
+        "cranks.circle_radius": (stage.centre_distance, "the centre distance"),
+    }
+    if path not in how or not math.isclose(float(value), float(how[path][0]), rel_tol=1e-9):
+        return ""
+    return f"derived: {how[path][1]}"
+
+
+def implied(numbers: Mapping[str, PyTree]) -> list[str]:
+    """Radii of standard gears: they follow from teeth and module."""
+    own = {path.partition(".")[2]: value for path, value in numbers.items() if path.startswith("involute.")}
+    due = _standard(own)
+    standard = all(abs(own[name] / getattr(due, name) - 1) < 1e-3 for name in AGREE)
+    return [f"involute.{name}" for name in AGREE] if standard else []
+
+
+def followed(design: RVReducer, given: Toml) -> RVReducer:
+    """The design, with what follows from the numbers that a study gives.
+
+    Args:
+        design: with these numbers.
+        given: the table [design].
+
+    Raises:
+        ValueError: a given number contradicts those it follows from; names both.
+    """
+    gears, profile, cranks = (set(subtable(given, part)) for part in ("involute", "cycloid", "cranks"))
+    involute = design.involute
+    standard = _standard(vars(involute))
+    if gears & set(GEARS):
+        involute = involute.replace(**{name: getattr(standard, name) for name in AGREE if name not in gears})
+    for name in sorted(gears & set(AGREE)):
+        _agree(f"involute.{name}", getattr(involute, name), "teeth and module", getattr(standard, name), AGREE[name])
+    circle = design.cranks
+    if involute.centre_distance != design.involute.centre_distance or "centre_distance" in gears:
+        circle = circle if "circle_radius" in cranks else circle.replace(circle_radius=involute.centre_distance)
+    if "circle_radius" in cranks:
+        _agree(
+            "cranks.circle_radius", circle.circle_radius, "centre_distance", involute.centre_distance, AGREE_CIRCLE,
+            "each planet sits on its crank",
+        )  # fmt: skip
+    cycloid = design.cycloid
+    if profile & set(PROFILE) and "shortening" not in profile:
+        cycloid = cycloid.replace(shortening=None)
+    return design.replace(involute=involute, cranks=circle, cycloid=cycloid)
+
+
+def _agree(name: str, value: Scalar, source: str, due: Scalar, share: float, why: str = "") -> None:
+    if np.any(np.abs(value - due) > share * np.abs(due)):
+        reason = f"; {why}" if why else ""
+        raise ValueError(
+            f"design.{name} = {1e3 * value:.6g} mm: {source} make it {1e3 * due:.6g} mm, more than {share:.3g} of it "
+            f"apart{reason}"
+        )
