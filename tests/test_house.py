@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import rvjax
+from rvjax import models
 from rvjax.records import Record
 
 ROOT = Path(__file__).parent.parent
@@ -157,6 +158,35 @@ def test_statistics_know_no_gears():
         for path in (PACKAGE / room).rglob("*.py"):
             below = {"identify"} if room == "compensation" else set()  # orders of a curve
             assert {other[0] for other in imports(path)} <= ground | below | {room}, path.name
+
+
+def forks(tree, classes):
+    """Lines that ask for one of these classes: `isinstance`, `issubclass`, a comparison, a case of a `match`."""
+    for node in ast.walk(tree):
+        called = node.func.id if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) else ""
+        asked = node.args[1:] if called in ("isinstance", "issubclass") else []
+        asked += [node] if isinstance(node, (ast.Compare, ast.MatchClass, ast.MatchValue)) else []
+        names = {getattr(x, "id", getattr(x, "attr", "")) for one in asked for x in ast.walk(one)}
+        if names & classes:
+            yield node.lineno
+
+
+def test_only_a_kind_asks_for_the_class_of_a_design():
+    """What differs between kinds of reducers is in `study/kinds`, looked up by the class; else each has many places."""
+    classes = {cls.__name__ for cls in models.kinds().values()}
+    assert {"RVReducer", "CamRollerReducer"} <= classes
+    asking = [
+        "isinstance(d, RVReducer)", "isinstance(d, (Record, designs.RVReducer))", "issubclass(c, RVReducer)",
+        "type(d) is RVReducer", "RVReducer == c", "kind == RVReducer.kind", "c in (RVReducer, Other)",
+    ]  # fmt: skip
+    for text in asking:
+        assert list(forks(ast.parse(f"if {text}:\n    pass"), classes)) == [1], text
+    assert list(forks(ast.parse("match d:\n    case RVReducer():\n        pass"), classes)) == [2]
+    for text in ("isinstance(d, Record)", "RVReducer(a, b)", "KINDS[RVReducer]", "d: RVReducer = x"):
+        assert not list(forks(ast.parse(text), classes)), text
+    homes = [PACKAGE / "designs.py", *(PACKAGE / "study" / "kinds").rglob("*.py")]
+    found = {path: [*forks(parsed(path), classes)] for path in rooms() if path not in homes}
+    assert len(found) > 300 and {path: lines for path, lines in found.items() if lines} == {}
 
 
 def public_functions():

@@ -14,14 +14,17 @@ import numpy as np
 import pytest
 from cli_study import answered_once
 
-from rvjax import cli, errors, measured, mounting, study
+from rvjax import cli, errors, measured, models, mounting, study
 from rvjax.catalogue import RV_40E
 from rvjax.commands import identify as identified
 from rvjax.commands.allocate import answer
-from rvjax.designs import RVReducer
+from rvjax.designs import CamRollerReducer, RVReducer
 from rvjax.errors import Bound, RVErrors, deviation, read_by
 from rvjax.outputs import Observation
+from rvjax.plotting import new_axes
 from rvjax.records import IN_ERROR_UNIT, Scalar, field, record
+from rvjax.study.kinds.following import Following
+from rvjax.study.variables import refuse_variable
 from rvjax.tolerances import sample
 from rvjax.tolerances.optimum import cost
 from rvjax.units import arcsec, um
@@ -109,6 +112,76 @@ def test_an_error_of_a_disc_is_one_place(monkeypatch):
     assert asked.response().bounds == ("largest_bevel",)
     with pytest.raises(study.StudyError, match="bore_bevel: required responses do not use it"):
         study.parse_study(text + '[requirement.misfit]\nupper = "2 um"\n', name="x", solve=False)
+
+
+def test_a_kind_of_reducer_is_one_place(fake_model, monkeypatch, tmp_path, capsys):
+    """Of a key joint: facts, warnings, what cannot be, what follows what, a drawing; studies and commands show them."""
+
+    def refuse(design):
+        if design.keys > 6:
+            raise ValueError(f"design.keys = {design.keys}: must be at most 6")
+
+    longer = study.Law("keys", ("stiffness",), {"radius": 2.0}, (0.5, 2.0), "by hand")
+    kind = study.Kind(
+        design=fake_model.KeyJoint,
+        name="a key joint",
+        facts=lambda design: [("keys of both parts", str(2 * design.keys))],
+        refuse=refuse,
+        doubts=lambda design: ["design.keys: known joints have 3"] if design.keys != 3 else [],
+        rated={"joint": 1.0},
+        following=Following((longer,), bound={"radius": ("stiffness",)}, instead={"stiffness": "the radius"}),
+        drawing=study.Drawing(lambda design: new_axes(), str, lambda *both: new_axes(), "both joints"),
+    )
+    monkeypatch.setitem(study.KINDS, fake_model.KeyJoint, kind)
+    monkeypatch.chdir(tmp_path)
+    text = JOINT.replace('[tolerances.hub_centre]\nrunout = "10 um"', '[conditions]\ntorque = "80 N m"')
+    (tmp_path / "joint.toml").write_text(text)
+    assert cli.main(["check", "joint.toml", "--picture", "joint.png"]) == 0
+    said = capsys.readouterr().out
+    for words in ("keys of both parts               4", "warning: design.keys: known joints have 3", "up to 1 N m",
+                  "warning: conditions.torque = 80 N m: known reducers have up to 1 N m"):  # fmt: skip
+        assert words in said, words
+    assert (tmp_path / "joint.png").stat().st_size > 1000
+    made = study.load("joint.toml", solve=False)
+    assert study.kind_of(made.design) is kind
+    assert study.scaled(made.design, {"radius": 30e-3}).stiffness == pytest.approx(1.5**2 * 1e9)
+    with pytest.raises(study.StudyError, match=r"design\.keys = 7: must be at most 6"):
+        study.parse_study(text.replace("keys = 2", "keys = 7"), name="x")
+    with pytest.raises(ValueError, match=r"design\.stiffness is given, but follows it"):
+        refuse_variable(made.design, "radius", made.given)
+    with pytest.raises(ValueError, match=r"variable\.stiffness: follows from the radius"):
+        refuse_variable(made.design, "stiffness", ())
+    assert cli.main(["check", "corr", "--picture", "corr.png"]) == 2
+    assert "plots RV reducers and key joints only, not a CamRollerReducer" in capsys.readouterr().err
+
+
+def test_a_kind_that_is_not_described_is_one_of_which_nothing_is_known(fake_model):
+    """No facts, no law, no drawing; a class below a described one is of its kind."""
+    joint = fake_model.KeyJoint(keys=2, radius=0.02, stiffness=1e9)
+    plain = study.kind_of(joint)
+    assert [*study.facts_of(joint)] == plain.doubts(joint) == [] and plain.drawing is None and plain.bases == {}
+    larger = study.scaled(joint, {"radius": 0.04}, whole=True)
+    assert (larger.keys, larger.radius, larger.stiffness) == (2, 0.04, 1e9)
+
+    class Special(RVReducer):
+        """An RV reducer."""
+
+    assert study.kind_of(Special(RV_40E.involute, RV_40E.cycloid, RV_40E.cranks)) is study.KINDS[RVReducer]
+
+
+def test_a_model_may_take_several_kinds(fake_model, monkeypatch):
+    """Its outputs are those of both, and studies find both by their names."""
+
+    @record
+    class Spline(fake_model.KeyJoint):
+        kind: ClassVar[str] = "spline"
+
+    classes = (RVReducer, Spline)
+    described = dataclasses.replace(fake_model.DESCRIPTION, design=classes)
+    monkeypatch.setattr(fake_model, "DESCRIPTION", described)
+    assert models.kinds()["spline"] is Spline and models.kinds()["rv"] is RVReducer
+    assert all("twist" in models.kind_of(one).outputs for one in classes)
+    assert "twist" not in models.kind_of(CamRollerReducer).outputs
 
 
 JOINT_COST = """

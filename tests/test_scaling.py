@@ -11,7 +11,7 @@ import pytest
 from rvjax import study
 from rvjax.catalogue import RV_320E
 from rvjax.study.kinds import changed, number_at, outside
-from rvjax.study.kinds.rv.following import FOLLOWING, LAWS
+from rvjax.study.kinds.rv.facts import FOLLOWING, LAWS
 from rvjax.study.variables import refuse_variable
 from rvjax.units import mm
 
@@ -105,6 +105,9 @@ def test_a_given_number_stands():
     assert wider.bearings.arm.roller_length == pytest.approx(1.5 * RV_320E.bearings.arm.roller_length)
     stiff = made.design_with({"contact.face_width": 30 * mm}, similar=False)
     assert stiff.stiffness.disc_pin_mesh == RV_320E.stiffness.disc_pin_mesh
+    wheels = made.design_with({"involute.module": 1.1 * RV_320E.involute.module}, similar=False)
+    assert wheels.cranks.circle_radius == pytest.approx(1.1 * RV_320E.cranks.circle_radius)
+    assert wheels.stiffness.support_bearing == RV_320E.stiffness.support_bearing
 
 
 def test_the_shortening_follows_and_the_rating_of_a_given_capacity():

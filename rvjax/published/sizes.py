@@ -38,12 +38,6 @@ def _study() -> study.Study:
     return study.load("rv-40e-whole", solve=False)
 
 
-def _number(design: PyTree, path: str) -> float:
-    for name in path.split("."):
-        design = getattr(design, name)
-    return float(design)
-
-
 def similar(torque: float) -> RVReducer:
     """RV-40E with all lengths times the cube root of the ratio of torques: equal stresses.
 
@@ -52,7 +46,7 @@ def similar(torque: float) -> RVReducer:
     """
     ratio = (torque / TORQUE["40e"]) ** (1 / 3)
     base = _study().design
-    design: RVReducer = study.scaled(base, {path: ratio * _number(base, path) for path in LENGTHS}, whole=True)
+    design: RVReducer = study.scaled(base, {path: ratio * study.number_at(base, path) for path in LENGTHS}, whole=True)
     return design
 
 

@@ -9,6 +9,7 @@ from rvjax.study.identification import field_unit
 from rvjax.study.kinds import (
     KINDS as KINDS,
     Assumed as Assumed,
+    Drawing as Drawing,
     Kind as Kind,
     Known as Known,
     Law as Law,

@@ -6,7 +6,7 @@ import re
 from rvjax import catalogue
 from rvjax._reducer.plausible import walk
 from rvjax.records import PyTree
-from rvjax.study.kinds import kind_of
+from rvjax.study.kinds import kind_of, number_at
 from rvjax.study.values import Toml
 
 
@@ -45,7 +45,7 @@ def design_numbers(design: PyTree, given: Toml, text: str) -> list[Number]:
     kind, found, stated = kind_of(design), [], given_paths(given)
     for path, value, about in walk(design):
         # A number that is neither given nor the published one has followed from others.
-        kept = published is not None and path in sources and _same(value, _at(published, path))
+        kept = published is not None and path in sources and _same(value, number_at(published, path))
         if path in stated:
             origin, said = "this study", own.get(path, "")
         elif (derived := kind.derivation(design, path, value)) and not (kept and stated.isdisjoint(kind.derived_from)):
@@ -83,12 +83,6 @@ def is_assumed(text: str) -> bool:
 
 def _same(value: PyTree, other: PyTree) -> bool:
     return other is not None and bool((value == other) if not hasattr(value, "shape") else (value == other).all())
-
-
-def _at(record: object, path: str) -> PyTree:
-    for name in path.split("."):
-        record = getattr(record, name, None)
-    return record
 
 
 def given_paths(table: Toml, prefix: str = "") -> set[str]:

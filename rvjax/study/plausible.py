@@ -14,7 +14,7 @@ from rvjax._reducer.plausible import doubt, doubtful, shown, steep
 from rvjax.errors import described
 from rvjax.outputs import Output
 from rvjax.records import Design, PyTree
-from rvjax.study.kinds import kind_of
+from rvjax.study.kinds import kind_of, number_at
 from rvjax.study.toleranced import Form, stated_by
 from rvjax.study.values import Metadata
 from rvjax.tolerances import Cost, Limits, Middle, Tolerance
@@ -34,7 +34,8 @@ def refuse_impossible(design: Design, tolerances: PyTree, costs: dict[str, Cost]
     """
     kind_of(design).refuse(design)
     for field, tolerance, about in _toleranced(tolerances):
-        part = _part(design, about["of"]) if about["unit"] != "-" else None
+        nominal = number_at(design, about["of"]) if about["of"] and about["unit"] != "-" else None
+        part = None if nominal is None else abs(float(np.max(np.asarray(nominal))))
         widest = {f"tolerances.{field}": tolerance}
         if field in costs:
             coarsest = max(costs[field].coarsest, float(tolerance.half_width))
@@ -131,15 +132,6 @@ def doubtful_costs(costs: Mapping[str, Cost], tolerances: PyTree) -> list[str]:
                 f"the initial one is {shown(half, unit)}"
             )
     return found
-
-
-def _part(design: Design, path: str) -> float | None:
-    """Nominal size that an error deviates from, or None."""
-    if not path:
-        return None
-    for name in path.split("."):
-        design = getattr(design, name)
-    return abs(float(np.max(np.asarray(design))))
 
 
 def _toleranced(tolerances: PyTree) -> Iterator[tuple[str, Tolerance, Metadata]]:

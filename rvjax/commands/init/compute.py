@@ -3,10 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from rvjax import models
 from rvjax.commands.init.inputs import Inputs
 from rvjax.commands.init.numbers import known, lines
-from rvjax.study import EMBEDDED, KINDS, Assumed, Kind, Known, Start, StudyError, load, parse_study
+from rvjax.study import EMBEDDED, Assumed, Known, Start, StudyError, load, parse_study
 
 ABOUT = """[about] # for the head of reports; every line may go
 revision = "A"
@@ -59,27 +58,27 @@ def written(base: str, model: str = "loaded") -> Written:
         ValueError: an unknown name, or a file that gives no reducer.
     """
     given = known(base)
-    kind = KINDS[models.kinds()[given.kind]]
-    model = model if model in kind.starts else next(iter(kind.starts))
-    start = kind.starts[model]
+    starts = given.kind.starts
+    model = model if model in starts else next(iter(starts))
+    start = starts[model]
     own, more = start.complete(given, load(start.study, solve=False).design)
     given = replace(given, numbers=own)
     text = (EMBEDDED / f"{start.study}.toml").read_text("utf-8")
     numbers = {**own, **{path: item.value for path, item in more.items()}}
     rest = start.tables(text[text.index("[conditions]") :], numbers, given.torque)
-    return Written(_joined(given, more, kind, start, rest), model, given.name, _warnings(given, more))
+    return Written(_joined(given, more, start, rest), model, given.name, _warnings(given, more))
 
 
-def _joined(given: Known, more: Mapping[str, Assumed], kind: Kind, start: Start, rest: str) -> str:
+def _joined(given: Known, more: Mapping[str, Assumed], start: Start, rest: str) -> str:
     """Text of the study; of a reducer whose published values contradict each other by its name."""
-    named = f'kind = "{given.kind}"\n' + "\n".join(lines(kind, given, more, start.parts))
+    named = f'kind = "{given.kind.word}"\n' + "\n".join(lines(given, more, start.parts))
     head = start.head.format(name=given.name) + ABOUT + "[design]\n"
     try:
         parse_study(head + named + "\n\n" + rest, name=given.name, solve=False)
     except StudyError as contradiction:  # published so: possible by name alone
         if given.drawing:
             raise
-        own = "\n".join(lines(kind, given, more, start.parts, only=True)).lstrip("\n")
+        own = "\n".join(lines(given, more, start.parts, only=True)).lstrip("\n")
         named = f'base = "{given.name}" # its published values contradict each other: {contradiction}\n'
         named += start.unread(given.numbers) + own
     return head + named + "\n\n" + rest

@@ -44,9 +44,9 @@ def known(base: str) -> Known:
     design: PyTree = BASES[choice(base, BASES, "--base")]
     numbers = {path: value for path, value, _ in walk(design)}
     said = dict.fromkeys(catalogue.assumed(base), "assumed")
-    rated = kind_of(design).rated.get(base)
-    torque = None if rated is None else Assumed(rated, "rated torque of the catalogue")
-    return Known(base, design.kind, numbers, said, torque)
+    kind = kind_of(design)
+    torque = Assumed(kind.rated[base], "rated torque of the catalogue") if base in kind.rated else None
+    return Known(base, kind, numbers, said, torque)
 
 
 def _drawn(path: Path) -> Known:
@@ -60,22 +60,22 @@ def _drawn(path: Path) -> Known:
         except (tomllib.TOMLDecodeError, RecursionError) as error:
             raise ValueError(f"not valid TOML: {error}") from None
         table = subtable(tables, "design")
-        drawn = {kind.design.kind: kind for kind in KINDS.values() if kind.needed}  # type: ignore[attr-defined]
+        drawn = {kind.word: kind for kind in KINDS.values() if kind.needed}
         if not table:
             words = " or ".join(f'"{name}"' for name in drawn)
             raise ValueError(f"[design] is missing or empty: a drawing has kind = {words} and its numbers")
         if (base := table.get("base")) is None:
-            name = choice(table.get("kind"), drawn, "design.kind")
+            kind = drawn[choice(table.get("kind"), drawn, "design.kind")]
         else:
-            bases = {base: name for name, kind in drawn.items() for base in kind.bases}
-            name = bases[choice(base, bases, "design.base")]
-        numbers, kind = given_numbers(table), drawn[name]
+            bases = {name: kind for kind in drawn.values() for name in kind.bases}
+            kind = bases[choice(base, bases, "design.base")]
+        numbers = given_numbers(table)
         if missing := _lacking(kind, numbers):
             raise ValueError(f"[design] lacks {'; '.join(missing)}")
         said = dict.fromkeys(catalogue.assumed(str(base)), "assumed") if base else {}
         said |= comments(text)
         torque = _torque(subtable(tables, "conditions")) or kind.torque(numbers)
-        return Known(str(path), name, numbers, said, torque, True, _unread(tables))
+        return Known(str(path), kind, numbers, said, torque, True, tuple(sorted(set(tables) - FILE_PARTS)))
 
 
 def _lacking(kind: Kind, numbers: Mapping[str, PyTree]) -> list[str]:
@@ -95,25 +95,18 @@ def _torque(conditions: Mapping[str, object]) -> Assumed | None:
     return None
 
 
-def _unread(tables: Mapping[str, object]) -> tuple[str, ...]:
-    return tuple(sorted(set(tables) - FILE_PARTS))
-
-
-def lines(
-    kind: Kind, given: Known, more: Mapping[str, Assumed], parts: Collection[str], *, only: bool = False
-) -> Iterator[str]:
+def lines(given: Known, more: Mapping[str, Assumed], parts: Collection[str], *, only: bool = False) -> Iterator[str]:
     """`key = value # meaning` of every number, with an empty line between parts.
 
     Args:
-        kind: of the design.
         given: numbers with a source.
         more: assumed numbers.
         parts: that are written.
         only: only parts with assumed numbers, as changes of a base.
     """
     numbers = {**given.numbers, **{path: item.value for path, item in more.items()}}
-    implied, last, changed = kind.implied(numbers), "", {path.rpartition(".")[0] for path in more}
-    for path, about, _ in fields_of_kind(kind.design):
+    implied, last, changed = given.kind.implied(numbers), "", {path.rpartition(".")[0] for path in more}
+    for path, about, _ in fields_of_kind(given.kind.design):
         part = path.rpartition(".")[0]
         if (path.split(".")[0] not in parts and part) or path not in numbers or numbers[path] is None:
             continue

@@ -39,7 +39,7 @@ def changed(
     similar: bool = True,
     whole: bool = False,
 ) -> PyTree:
-    """The design with other numbers, and with all that follows, see `Following.changed`.
+    """The design with other numbers, and with all that follows.
 
     Args:
         design: before.

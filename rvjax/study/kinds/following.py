@@ -42,7 +42,8 @@ class Law:
     exact: bool = False
 
 
-def _no_others(design: PyTree, values: Mapping[str, Scalar], new: object, stands: object) -> Mapping[str, PyTree]:
+def _no_others(*_: object) -> dict[str, PyTree]:
+    """Nothing else follows."""
     return {}
 
 
@@ -72,15 +73,7 @@ class Following:
         similar: bool = True,
         whole: bool = False,
     ) -> PyTree:
-        """The design with other numbers, and with all that follows.
-
-        Args:
-            design: before.
-            values: {path: new value}, SI; they may be traced.
-            given: paths of numbers that the study gives: they do not follow.
-            similar: False: without scaling laws; only what follows exactly.
-            whole: a reducer of another size; also with the scaling laws that hold only there.
-        """
+        """The design with other numbers, and with all that follows, see `rvjax.study.scaled`."""
         stands, new = {*values, *given}, dict[str, PyTree](values)
         for law in self.laws:
             used = (similar or law.exact) and (whole or not law.whole)

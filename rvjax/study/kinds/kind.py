@@ -35,7 +35,7 @@ class Known:
 
     Attributes:
         name: of the known reducer, or of the file of the drawing.
-        kind: of the design, as study files name it.
+        kind: of the design.
         numbers: given ones by path, SI.
         said: further comment of a number by its path, such as "assumed".
         torque: rated torque, N m, with its reason; None: of no catalogue.
@@ -44,7 +44,7 @@ class Known:
     """
 
     name: str
-    kind: str
+    kind: "Kind"
     numbers: Numbers
     said: Mapping[str, str]
     torque: Assumed | None
@@ -52,12 +52,28 @@ class Known:
     unread: tuple[str, ...] = ()
 
 
-def _as_they_are(given: Known, example: PyTree) -> tuple[Numbers, dict[str, Assumed]]:
-    return given.numbers, {}
+def _nothing(*_: object) -> None:
+    """Nothing."""
 
 
-def _unchanged(text: str, numbers: Numbers, torque: Assumed | None) -> str:
-    return text
+def _no_text(*_: object) -> str:
+    """No text."""
+    return ""
+
+
+def _no_lines(*_: object) -> list[Any]:
+    """No lines."""
+    return []
+
+
+def _first(*given: Any) -> Any:
+    """The first argument, unchanged."""
+    return given[0]
+
+
+def _as_given(*given: Any) -> tuple[Numbers, dict[str, Assumed]]:
+    """The numbers of the source, and no others."""
+    return given[0].numbers, {}
 
 
 HEAD = (
@@ -83,9 +99,9 @@ class Start:
     study: str
     parts: tuple[str, ...] = ()
     head: str = HEAD
-    complete: Callable[[Known, Any], tuple[Numbers, Mapping[str, Assumed]]] = _as_they_are
-    tables: Callable[[str, Numbers, Assumed | None], str] = _unchanged
-    unread: Callable[[Numbers], str] = lambda numbers: ""
+    complete: Callable[[Known, Any], tuple[Numbers, Mapping[str, Assumed]]] = _as_given
+    tables: Callable[[str, Numbers, Assumed | None], str] = _first
+    unread: Callable[[Numbers], str] = _no_text
 
 
 @dataclass(frozen=True)
@@ -135,23 +151,28 @@ class Kind:
 
     design: type
     name: str
-    facts: Callable[[Any], Iterable[tuple[str, str]]] = lambda design: ()
-    derivation: Callable[[Any, str, Any], str] = lambda design, path, value: ""
+    facts: Callable[[Any], Iterable[tuple[str, str]]] = _no_lines
+    derivation: Callable[[Any, str, Any], str] = _no_text
     derived_from: frozenset[str] = frozenset()
-    followed: Callable[[Any, Toml], Any] = lambda design, given: design
-    implied: Callable[[Numbers], Collection[str]] = lambda numbers: ()
+    followed: Callable[[Any, Toml], Any] = _first
+    implied: Callable[[Numbers], Collection[str]] = _no_lines
     following: Following = field(default_factory=Following)
-    refuse: Callable[[Any], None] = lambda design: None
-    doubts: Callable[[Any], list[str]] = lambda design: []
+    refuse: Callable[[Any], None] = _nothing
+    doubts: Callable[[Any], list[str]] = _no_lines
     rated: Mapping[str, float] = field(default_factory=dict)
     speed: float = math.inf
-    of_another_size: Callable[[Any, float], str] = lambda design, torque: ""
+    of_another_size: Callable[[Any, float], str] = _no_text
     orders: Callable[[Any], tuple[int, ...]] | None = None
     unit_errors: Callable[..., Any] | None = None
     drawing: Drawing | None = None
     starts: Mapping[str, Start] = field(default_factory=dict)
     needed: tuple[str, ...] = ()
-    torque: Callable[[Numbers], Assumed | None] = lambda numbers: None
+    torque: Callable[[Numbers], Assumed | None] = _nothing
+
+    @property
+    def word(self) -> str:
+        """Its name in study files."""
+        return str(self.design.kind)  # type: ignore[attr-defined]
 
     @property
     def plural(self) -> str:

@@ -1,12 +1,17 @@
 """What follows from the numbers of an RV reducer: ratio, gaps, undercut, contact ratio; radii of standard gears.
 
+Scaling laws (`scaling.toml`), for a number that changes.
+
 Where a study changes what a number follows from, the number follows; where it gives both, they must agree. A published
 design that contradicts itself keeps its numbers as long as nothing of that part is changed.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+import tomllib
+from collections.abc import Collection, Iterator, Mapping
+from importlib import resources
 
+import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.compile_cache import ONCE, quick
@@ -14,6 +19,7 @@ from rvjax._reducer.plausible import shown
 from rvjax.designs import InvoluteStage, RVReducer
 from rvjax.geometry import contact_ratio, least_convex_radius
 from rvjax.records import Array, PyTree, Scalar
+from rvjax.study.kinds.following import Following, Law, number_at
 from rvjax.study.values import Toml, subtable
 
 GEARS = ("sun_teeth", "planet_teeth", "module", "pressure_angle")
@@ -124,3 +130,59 @@ def _agree(name: str, value: Scalar, source: str, due: Scalar, share: float, why
             f"design.{name} = {1e3 * value:.6g} mm: {source} make it {1e3 * due:.6g} mm, more than {share:.3g} of it "
             f"apart{reason}"
         )
+
+
+_FILE: dict[str, PyTree] = tomllib.loads((resources.files("rvjax.study") / "scaling.toml").read_text("utf-8"))
+ANGLE = "involute.pressure_angle"
+BASE_RADII = ("involute.sun_base_radius", "involute.planet_base_radius")
+SHORTENING = "cycloid.shortening"
+LENGTHS = ("cycloid.eccentricity", "cycloid.pin_circle_radius")  # K1 follows them
+
+LAWS = tuple(
+    Law(
+        entry["name"],
+        tuple(entry["numbers"]),
+        {_FILE["numbers"][key]: float(power) for key, power in entry["follows"].items()},
+        (float(entry["interval"][0]), float(entry["interval"][1])),
+        entry["source"],
+        entry.get("whole", False),
+        entry.get("exact", False),
+    )
+    for entry in _FILE["law"]
+)
+"""Ordered: a number that follows comes before the numbers that follow it."""
+NAMES: dict[str, str] = {path: name for name, path in _FILE["numbers"].items()}
+"""Short names of the numbers that scaling laws read, by their path."""
+SIZES: tuple[dict[str, PyTree], ...] = tuple(_FILE["tolerance"])
+"""Sizes that tolerances belong to."""
+
+KINEMATIC = next(law for law in LAWS if law.exact)
+AXIAL = next(law for law in LAWS if "bearings.disc_position" in law.numbers)  # discs of another width have other places
+
+
+def _others(
+    design: RVReducer, values: Mapping[str, Scalar], new: Mapping[str, PyTree], stands: Collection[str]
+) -> dict[str, PyTree]:
+    """The derived K1, and base circles of gears with another pressure angle."""
+    found: dict[str, PyTree] = {SHORTENING: None} if {*LENGTHS} & {*values} and SHORTENING not in stands else {}
+    if ANGLE in values:
+        ratio = jnp.cos(values[ANGLE]) / jnp.cos(design.involute.pressure_angle)
+        for path in (path for path in BASE_RADII if path not in stands):
+            found[path] = (new[path] if path in new else number_at(design, path)) * ratio
+    return found
+
+
+FOLLOWING = Following(
+    LAWS,
+    _others,
+    bound={
+        **dict.fromkeys(KINEMATIC.follows, KINEMATIC.numbers),
+        **dict.fromkeys(AXIAL.follows, AXIAL.numbers),
+        ANGLE: BASE_RADII,
+        **dict.fromkeys(LENGTHS, (SHORTENING,)),
+    },
+    instead={
+        **dict.fromkeys(KINEMATIC.numbers, "involute.module; vary that one"),
+        SHORTENING: "eccentricity and pin circle radius; vary these",
+    },
+)

@@ -17,7 +17,7 @@ from rvjax.records import PyTree, Scalar
 from rvjax.study.kinds.following import Law, fields_of_kind, number_at, outside
 from rvjax.study.kinds.kind import Assumed, Numbers
 from rvjax.study.kinds.rv import plausible
-from rvjax.study.kinds.rv.following import AXIAL, FOLLOWING, LAWS, NAMES, SIZES
+from rvjax.study.kinds.rv.facts import AXIAL, FOLLOWING, LAWS, NAMES, SIZES
 from rvjax.study.kinds.rv.plausible import RATED
 from rvjax.units import mm
 
