@@ -170,12 +170,14 @@ def test_a_drawing_alone_gives_the_loaded_study(drawing):
 def test_numbers_of_a_drawing_stand_and_others_follow_them(drawing):
     text = (
         DRAWING
-        + 'contact.face_width = "16 mm" # measured\ncycloid.disc_count = 3\n[conditions]\nrated_torque = "900 N m"\n'
+        + 'contact.face_width = "16 mm" # measured\ncycloid.disc_count = 3\ninvolute.centre_distance = "43 mm"\n'
+        + '[conditions]\nrated_torque = "900 N m"\n'
     )
     new = written(drawing(text))
     made = read(new.text)
     assert made.design.contact.face_width == 16 * mm and made.conditions.duty[0][0] == 900.0
     assert "contact.face_width" not in made.assumed and "; measured" in new.text
+    assert made.design.involute.centre_distance == made.design.cranks.circle_radius == 43 * mm  # shifted: 42 mm without
     assert made.design.stiffness.disc_pin_mesh == pytest.approx(600e6 * 16 / 12, rel=1e-3)
     np.testing.assert_allclose(np.diff(made.design.bearings.disc_position), [16 * mm] * 2, rtol=1e-3)
 

@@ -1,4 +1,4 @@
-"""Kinds of reducers: what studies, commands and plots read of a design beside its numbers, one file or folder each."""
+"""Descriptions of the kinds of reducers, one file or folder for each."""
 
 from collections.abc import Collection, Iterable, Mapping
 
@@ -17,11 +17,11 @@ from rvjax.study.kinds.kind import Assumed as Assumed, Drawing as Drawing, Kind 
 __all__ = ["KINDS", "Kind", "changed", "facts_of", "kind_of"]
 
 KINDS: dict[type, Kind] = {kind.design: kind for kind in (rv.KIND, cam_roller.KIND)}
-"""By the class of the design. A new kind of reducer is a module here, and an item of this tuple."""
+"""By the class of the design. A new kind of reducer is a module here, and its `KIND` in this tuple."""
 
 
 def kind_of(design: object) -> Kind:
-    """The kind of a design; one without facts, laws or drawing for a class that is not in `KINDS`."""
+    """The kind of a design; one without facts, scaling laws or drawing for a class that is not in `KINDS`."""
     cls = type(design)
     return next((KINDS[base] for base in cls.__mro__ if base in KINDS), Kind(cls, f"a {cls.__name__}"))
 

@@ -1,4 +1,4 @@
-"""What follows a number of a design that changes: scaling laws, and numbers that follow otherwise.
+"""Scaling laws of a design, and other numbers that follow a number that changes.
 
 The ratio of a number to its value in the study gives the ratio of the numbers that follow. A number that the study
 gives does not follow. Without scaling laws an optimum would buy stiffness that no bearing of its size has.
@@ -49,12 +49,12 @@ def _no_others(*_: object) -> dict[str, PyTree]:
 
 @dataclass(frozen=True)
 class Following:
-    """What follows from what in a kind of design; by default nothing.
+    """Numbers of a kind of design that follow others; by default none.
 
     Attributes:
         laws: scaling laws, ordered: a number that follows comes before the numbers that follow it.
-        others: (design, new values, these with what follows them by a law, paths that stand) -> values by path that
-            follow otherwise.
+        others: (design, new values, these with all that follows by scaling laws, paths that do not follow) -> values
+            by path that follow otherwise.
         bound: {path: numbers that must follow it}; a study that gives one of them cannot vary the path.
         instead: {path of a number that cannot vary: what it follows from, and what to vary}.
     """

@@ -1,4 +1,4 @@
-"""What studies, commands and plots read of a kind of reducer, beside the numbers of its record, in one object."""
+"""Description of a kind of reducer for studies and commands: everything that its record does not hold."""
 
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping
@@ -123,7 +123,7 @@ class Drawing:
 
 @dataclass(frozen=True, eq=False)
 class Kind:
-    """A kind of reducer; the defaults are those of a kind of which nothing is known but its record.
+    """A kind of reducer. Class and name are required; by default the other attributes add nothing to the record.
 
     Attributes:
         design: class of its designs; `catalogue.BASES` has the known ones.

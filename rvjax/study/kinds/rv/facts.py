@@ -1,6 +1,6 @@
-"""What follows from the numbers of an RV reducer: ratio, gaps, undercut, contact ratio; radii of standard gears.
+"""Values that follow from the numbers of an RV reducer: ratio, gaps, undercut, contact ratio; radii of standard gears.
 
-Scaling laws (`scaling.toml`), for a number that changes.
+Scaling laws (`scaling.toml`) for a number that changes.
 
 Where a study changes what a number follows from, the number follows; where it gives both, they must agree. A published
 design that contradicts itself keeps its numbers as long as nothing of that part is changed.
