@@ -102,12 +102,22 @@ class Mutant:
 
 def matches(node: ast.AST, wanted: ast.stmt) -> Iterator[ast.AST]:
     """The outermost expressions and statements below a node that read as wanted."""
-    kinds, text = (type(wanted), type(getattr(wanted, "value", wanted))), ast.unparse(wanted)
+    inner = wanted.value if isinstance(wanted, ast.Expr) else wanted
     for child in ast.iter_child_nodes(node):
-        if isinstance(child, kinds) and ast.unparse(child) == text:
+        if alike(child, wanted) or alike(child, inner):
             yield child
         else:
             yield from matches(child, wanted)
+
+
+def alike(one: object, other: object) -> bool:
+    """Whether two syntax trees read the same; most differ at the root, so that this is fast."""
+    if isinstance(one, ast.AST):
+        fields = (name for name in one._fields if name not in ("ctx", "kind", "type_comment"))
+        return type(one) is type(other) and all(alike(getattr(one, f, None), getattr(other, f, None)) for f in fields)
+    if isinstance(one, list):
+        return isinstance(other, list) and len(one) == len(other) and all(map(alike, one, other))
+    return type(one) is type(other) and one == other
 
 
 class Replacement(ast.NodeTransformer):

@@ -55,21 +55,29 @@ def _text(part: ast.AST) -> str:
     return ast.unparse(part).lower()
 
 
+_compiled = functools.cache(Expression.compile)
+
+
+@functools.cache
+def _names(part: ast.AST) -> frozenset[str]:
+    return frozenset(node.id for node in ast.walk(part) if isinstance(node, ast.Name))
+
+
 def _may_match(test: ast.FunctionDef, path: str, defined: dict[str, ast.AST], words: str) -> bool:
-    sure = f"{test.name} {path}".lower()
-    if Expression.compile(words).evaluate(lambda word, **_: word.lower() in sure):
+    sure, compiled = f"{test.name} {path}".lower(), _compiled(words)
+    if compiled.evaluate(lambda word, **_: word.lower() in sure):
         return True
     waiting = [*test.decorator_list, *(defined[a.arg] for a in test.args.args if a.arg in defined)]
     ids, seen = "", set()
     while waiting:
         ids += _text(part := waiting.pop())
-        names = {node.id for node in ast.walk(part) if isinstance(node, ast.Name)} & set(defined) - seen
+        names = _names(part) & set(defined) - seen
         waiting, seen = waiting + [defined[name] for name in names], seen | names
     asked = set(re.findall(r"[\w.-]+", words.lower())) - {"and", "or", "not"}
     some = [word for word in asked if word not in sure and word in ids]  # of one case, maybe not of another
     choices = itertools.product((True, False), repeat=len(some))
     found = ({word: word in sure for word in asked} | dict(zip(some, c)) for c in choices)
-    return any(Expression.compile(words).evaluate(lambda word, of=of, **_: of[word.lower()]) for of in found)
+    return any(compiled.evaluate(lambda word, of=of, **_: of[word.lower()]) for of in found)
 
 
 def test_words_that_select_no_test_are_found():
