@@ -107,8 +107,7 @@ def corrections(
     """
     if not isinstance(study.design, RVReducer):
         raise StudyError(f"{study.name}: an RV reducer is needed, whose ratio and pins are read")
-    columns = None if study.identification is None else study.identification.columns
-    runs = [run for run in read_measured([path], columns, kind="curve").runs if len(run.angle)]
+    runs = [run for run in read_measured([path], study.columns, kind="curve").runs if len(run.angle)]
     if not runs:
         raise StudyError(f"{path}: holds no point")
     return Corrections(tuple(_curve(study.design, run, angle_sd, count, first_order) for run in runs))
