@@ -178,10 +178,12 @@ def _header(lines: Sequence[str], filled: Sequence[int], named: Callable[[str], 
             open_quote = text.count('"') % 2 == 1  # a header of two lines
             for mode in _modes(" ".join([text, *lines[k + 1 : k + 5]]) if open_quote else text):
                 cells = [cell.strip() for cell in mode.header([text, *lines[k + 1 : k + 5]])]
+                if k > filled[0] and any(map(is_number, cells)):
+                    continue  # data
                 count = sum(map(named, cells))
                 last = k + sum(cell.count("\n") for cell in cells)
                 below = [lines[j] for j in filled[place + 1 : place + 8] if j > last][:2]  # perhaps a row of units
-                if count and (k == filled[0] or not any(map(is_number, cells))):
+                if count:
                     found.append(((-count, not mode.fits(cells, below), marked, k), text, mode))
     if found:
         best, text, _ = min(found, key=lambda one: one[0])
@@ -235,10 +237,12 @@ def _fitted(path: str | Path, mode: _Mode, lines: Sequence[str], short: bool) ->
     except csv.Error as error:
         raise ValueError(f"{path}: not a table of cells between {mode.delimiter!r} ({error})") from None
     first = next(line for line in lines if line.strip())
-    spaced = mode.delimiter in " " * 2
-    header = [name.strip() for name in (mode.header([first]) if spaced else cells[0][1])]
+    header = [name.strip() for name in (mode.header([first]) if mode.spaced else cells[0][1])]
     body, comments = [], 0
     for number, row in cells[1:]:
+        if len(row) == len(header):
+            body.append((number, row))
+            continue
         used = 1 + max(k for k, cell in enumerate(row) if cell.strip())
         row = row[: max(len(header), used)]  # delimiters at the end of a line
         if _comment(row[0]) and (used == 1 or not short) and len(row) != len(header):
@@ -267,6 +271,8 @@ def _with_units(path: str | Path, header: Sequence[str], body: Sequence[Row]) ->
     for name, cell, unit in zip(header, cells, units):
         own = re.search(r"[\[(]([^\[\]()]*)[\])]$", narrow(name))
         said = recognised(own[1], UNITS) if own else None
+        if said and not unit:
+            return None  # a row without readings
         if unit and said and said != unit:
             raise ValueError(f"{path}: column {name!r}: row {number} says {cell!r}; remove one of the two units")
         merged.append(f"{name} [{cell}]" if unit and not said else name)

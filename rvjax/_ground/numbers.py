@@ -59,19 +59,18 @@ def number_of(
     Raises:
         ValueError: no number, not finite, or larger or smaller than any number of a part.
     """
-    text = cell.lower().replace("\u2212", "-")  # the minus sign of a typesetter
-    text = re.sub(r"(?<=\d)['’\u00a0\u2009\u202f ](?=\d{3}(?!\d))", "", text)
-    mark = grouping or next((own for own in _GROUPS if _is_proof(text, own)), "")
-    if mark and re.fullmatch(_GROUPS[mark], text):
-        text = text.replace(mark, "").replace(",", ".")
-    text = text.replace(",", ".") if comma else text
+    text = cell.lower() if cell.isascii() and not ("," in cell or grouping) else _usual(cell, comma, grouping)
     if text == "" or (missing and text == "nan"):
         return math.nan
     where = f"{source}: row {row}, {name} = {cell[:40]!r}"
     try:
         value = float(text)
     except ValueError:
-        raise ValueError(f"{where}: must be a number in {unit}") from None
+        try:
+            value = float(text := _usual(cell, comma, grouping))
+        except ValueError:
+            hint = "; is its comma decimal? write a point, or no separator" if re.fullmatch(_GROUPS[","], text) else ""
+            raise ValueError(f"{where}: must be a number in {unit}{hint}") from None
     digits = re.search("[1-9]", text.partition("e")[0])
     if math.isnan(value) or (math.isinf(value) and not digits):
         raise ValueError(f"{where}: must be finite, in {unit}; leave the cell empty if nothing was measured")
@@ -80,3 +79,13 @@ def number_of(
     if digits and abs(value) < SMALLEST:  # also one that is 0 in double precision
         raise ValueError(f"{where}: too small, must be 0 or at least {SMALLEST:g} {unit}; correct the number")
     return value
+
+
+def _usual(cell: str, comma: bool, grouping: str) -> str:
+    """A number with a decimal point and without separators of thousands."""
+    text = cell.lower().replace("\u2212", "-")  # the minus sign of a typesetter
+    text = re.sub(r"(?<=\d)['’\u00a0\u2009\u202f ](?=\d{3}(?!\d))", "", text)
+    mark = grouping or next((own for own in _GROUPS if _is_proof(text, own)), "")
+    if mark and re.fullmatch(_GROUPS[mark], text):
+        text = text.replace(mark, "").replace(",", ".")
+    return text.replace(",", ".") if comma else text

@@ -25,6 +25,7 @@ _SI = {"angle": "rad", "error": "rad", "torque": "N m", "speed": "rad/s", "frequ
 UNITS: dict[str, dict[str, float]] = {name: {usual: 0.0} | KNOWN[_SI[name]] for name, usual in USUAL.items()}
 UNITS["temperature"] = {"degC": 1.0}
 """Measurement units of each quantity, the usual one first, with their size in SI (temperatures stay in degC)."""
+SWEPT = 4  # different torques that a loop has at least
 WORDS = ("direction", "unit")
 _WAYS = {"": "forward", "forward": "forward", "fwd": "forward", "backward": "backward", "bwd": "backward"}
 KINDS: dict[str, Kind] = {"curve": Curve(), "loop": Hysteresis(), "frequencies": Frequencies()}
@@ -46,7 +47,10 @@ def read_table(
     """
     enough = [own.needs for name, own in KINDS.items() if kind in (None, name)]
     table = cells.read_table(path, columns, units=UNITS, words=WORDS, enough=enough, named=is_column)
-    if any(set(one) <= table.numbers.keys() for one in enough) or kind not in (None, "curve"):
+    found = {name for name in KINDS if kind in (None, name) and set(KINDS[name].needs) <= table.numbers.keys()}
+    if found == {"loop"} and len(np.unique(table.numbers["torque"])) < SWEPT:
+        found = set()  # a wide table at a few nominal torques
+    if found or kind not in (None, "curve"):
         return table
     return read_wide(path, table, columns, units=UNITS, words=WORDS) or table
 
