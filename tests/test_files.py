@@ -101,6 +101,10 @@ def test_lines_before_the_header_are_skipped(write, before, between):
 TABLES = {
     "header in a comment": f"# {PLAIN}\n{rows()}",
     "header in a comment, spaces": f"# angle [deg] error [arcsec]\n{rows(' ')}",
+    "header and units in comments": f"% angle error\n% deg arcsec\n{rows(' ')}",
+    "last line of words": f"{PLAIN}\n{rows()}\nEnd of data\n\x1a",
+    "full-width commas": f"angle（deg），error（arcsec）\n{rows('，')}",
+    "full-width comma in a name": f"{PLAIN},备注，说明\n{rows(after=',好')}",
     "comments between": f"{PLAIN}\n" + rows().replace("1.5,", "# stop, then, on\n#9,9\n1.5,") + "# end\n",
     "row of units": f"angle,error\ndeg,arcsec\n{rows()}",
     "row of units in brackets": f'Angle;Error\n[°];["]\n{rows(";", ",")}',
@@ -240,6 +244,15 @@ def test_plain_headers_are_read_as_before_whatever_else_the_file_has(write):
     assert len(found.notes) == 3 and "column 'Torque (N m)' is not read" in found.notes[0]
     loop = read_table(write("torque [N m],angle [deg],error (deg)\n1,2,3\n"))
     assert "error" not in loop.numbers
+
+
+def test_lines_that_are_skipped_are_numbered(write):
+    found = same(write(f"{PLAIN}\n0.5,-1.25\n# 0.7, 9\n1.5,2\n// pause\n2.5,3\nstopped by hand\n"))
+    assert found.notes == (
+        "bench.csv: lines of the table that are not read: 3",
+        "bench.csv: lines of the table that are not read: 5, 7",
+    )
+    assert "row 4 has 1 cells, the header 2" in message(write(f"{PLAIN}\n0.5,1\n1.5,2\n2.5"))  # a line that is cut
 
 
 def test_a_word_may_begin_with_the_mark_of_a_comment(write):

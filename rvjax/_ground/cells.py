@@ -12,11 +12,12 @@ from rvjax.units import KNOWN, recognised
 
 DELIMITERS = ";\t,|"
 MARKS = ("#", "%", "//", ";", "!", "*")  # of a comment
+SHOWN = 12  # texts in a message
 SEARCHED = 200  # lines in which the header may be
 Row = tuple[int, list[str]]
 """Line of the file, cells."""
 _BRACKETS = {"[": "]", "(": ")", "{": "}"}
-_WIDE = {code: code - 0xFEE0 for code in range(0xFF01, 0xFF5F)}  # full-width forms of ASCII
+_WIDE: dict[int, int | str] = {code: code - 0xFEE0 for code in range(0xFF01, 0xFF5F)}  # full-width forms of ASCII
 _WIDE |= {ord(wide): usual for wide, usual in zip("【〔〖】〕〗\u00a0\u2009\u202f\u3000", "[[[]]]    ")}
 UNITS = frozenset([unit for family in KNOWN.values() for unit in family] + ["degC", "count"])
 
@@ -82,6 +83,12 @@ def narrow(text: str) -> str:
     return text.translate(_WIDE)
 
 
+def listed(texts: Sequence[str]) -> str:
+    """Texts of a file in a message: the first ones, each in one line."""
+    more = f" and {len(texts) - SHOWN} more" if len(texts) > SHOWN else ""
+    return ", ".join(" ".join(text[:60].split()) or "(no name)" for text in texts[:SHOWN]) + more
+
+
 def is_number(cell: str) -> bool:
     """Whether a cell is written as a number, with a decimal point or comma."""
     try:
@@ -113,14 +120,21 @@ def read_cells(
         FileNotFoundError: there is no such file.
     """
     text, notes = _text(Path(path))
-    lines = text.replace("\r\n", "\n").replace("\r", "\n").removesuffix("\n").split("\n")
+    lines = text.rstrip("\x1a").replace("\r\n", "\n").replace("\r", "\n").removesuffix("\n").split("\n")
     filled = [k for k, line in enumerate(lines) if line.strip()]
     if not filled or "\0" in text:
         raise ValueError(f'{path}: no table; the first line must name the columns, such as "{example}"')
     at, head, modes = _header(lines, filled, named)
+    if re.search("[，；]", head) and not re.search("[,;\t]", head):  # full-width marks between cells
+        lines = [line.replace("，", ",").replace("；", ";") for line in lines]
+        at, head, modes = _header(lines, filled, named)
     if at > filled[0]:
         notes += [f"the header is line {at + 1}; the lines before it are not read"]
     rest = [*[""] * at, head, *lines[at + 1 :]]
+    for k in filled[filled.index(at) + 1 :][:1]:  # "# deg arcsec" under "# angle error"
+        cells = modes[0].header([_unmarked(lines[k])]) if _comment(lines[k]) else []
+        if cells and all(recognised(unbracketed(cell), UNITS) for cell in cells):
+            rest[k] = _unmarked(lines[k])
     failure: ValueError | None = None
     for mode in modes:
         try:
@@ -132,8 +146,7 @@ def read_cells(
         if merged is not None:
             header, body = merged, body[1:]
             notes += ["the row under the header gives the units"]
-        if comments:
-            notes += [f"{comments} comment lines are not read"]
+        notes += [f"lines of the table that are not read: {listed(comments)}"] if comments else []
         if not body:
             raise ValueError(f"{path}: no rows under the header {mode.delimiter.join(header)!r}")
         return Cells(header, body, mode.delimiter != ",", tuple(notes))
@@ -190,12 +203,14 @@ def _header(lines: Sequence[str], filled: Sequence[int], named: Callable[[str], 
         modes = [mode for rank, _, mode in found if (rank[0], *rank[2:]) == (best[0], *best[2:])]
         return best[-1], text, modes
     plain = [k for k in filled if not _comment(lines[k])] or list(filled)
-    for k, below in itertools.pairwise(plain[:SEARCHED]):  # no name is known: as many names as numbers below
+    for k, after in itertools.pairwise(plain[:SEARCHED]):  # no name is known: as many names as numbers below
         for mode in _modes(lines[k]):
-            cells, numbers = mode.header(lines[k:]), mode.header(lines[below:])
-            if len(cells) == len(numbers) > 1 and not any(map(is_number, cells)) and any(map(is_number, numbers)):
+            cells = mode.header(lines[k:])
+            if len(cells) > 1 and not any(map(is_number, cells)) and mode.fits(cells, [lines[after]]):
                 return k, lines[k], [mode]
-    return plain[0], lines[plain[0]], _modes(lines[plain[0]])[:1]
+    first = lines[plain[0]]
+    numbers = [mode for mode in _modes(first) if all(map(is_number, mode.header([first])))]
+    return plain[0], first, [*numbers, *_modes(first)][:1]
 
 
 def _modes(line: str) -> list[_Mode]:
@@ -230,23 +245,25 @@ def _spaced(line: str, mode: str, *, names: bool = False) -> list[str]:
     return [cell.strip('"') if len(cell) > 1 else cell for cell in cells]
 
 
-def _fitted(path: str | Path, mode: _Mode, lines: Sequence[str], short: bool) -> tuple[list[str], list[Row], int]:
-    """Header, rows of as many cells, and the number of comment lines."""
+def _fitted(path: str | Path, mode: _Mode, lines: Sequence[str], short: bool) -> tuple[list[str], list[Row], list[str]]:
+    """Header, rows of as many cells, and the numbers of lines that are comments or follow the last row."""
     try:
         cells = mode.table(lines)
     except csv.Error as error:
         raise ValueError(f"{path}: not a table of cells between {mode.delimiter!r} ({error})") from None
     first = next(line for line in lines if line.strip())
     header = [name.strip() for name in (mode.header([first]) if mode.spaced else cells[0][1])]
-    body, comments = [], 0
-    for number, row in cells[1:]:
+    body, comments = [], list[str]()
+    ends = 1 + max((k for k, (_, row) in enumerate(cells) if len(row) == len(header)), default=0)
+    for k, (number, row) in enumerate(cells[1:], 1):
         if len(row) == len(header):
             body.append((number, row))
             continue
         used = 1 + max(k for k, cell in enumerate(row) if cell.strip())
         row = row[: max(len(header), used)]  # delimiters at the end of a line
-        if _comment(row[0]) and (used == 1 or not short) and len(row) != len(header):
-            comments += 1
+        words = used == 1 and not any(char.isdigit() for char in "".join(row))  # "End of data"
+        if (_comment(row[0]) and (used == 1 or not short)) or (k >= ends > 1 and words and not short):
+            comments.append(str(number))
             continue
         if short or not any(header[len(row) :]):
             row = row + [""] * (len(header) - len(row))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rvjax._ground.cells import MARKS, UNITS, Row, narrow, read_cells
+from rvjax._ground.cells import MARKS, UNITS, Row, listed, narrow, read_cells
 from rvjax._ground.choices import unknown
 from rvjax._ground.numbers import grouping_of, has_decimal_comma, number_of
 from rvjax.units import recognised, spelling
@@ -18,7 +18,6 @@ from rvjax.units import recognised, spelling
 Units = Mapping[str, Mapping[str, float]]
 """By quantity: what it may be written in, with its size in SI."""
 
-SHOWN = 12  # columns in a message
 _AMBIGUOUS = {"grad": "", "grads": "", "grade": ""}  # degree in German, gon elsewhere: no unit is near
 _BETWEEN = r"\s*(?:[_/,:;.|-]|\s+in\s+|\s)\s*"  # a name and its unit
 
@@ -99,6 +98,8 @@ def read_table(
     places, notes = _places(source, cells.header, columns, units, words, [*map(set, enough)], at or {})
     if any(place.column == 0 and name in units for name, place in places.items()):
         body: list[Row] = [(k, row) for k, row in cells.body if not row[0].lstrip().startswith(MARKS)]
+        if marked := [str(k) for k, row in cells.body if row[0].lstrip().startswith(MARKS)]:
+            notes = [f"lines of the table that are not read: {listed(marked)}", *notes]
     else:  # words may begin with such a mark
         body = cells.body
     numbers, texts, shown = {}, {}, {}
@@ -115,12 +116,6 @@ def read_table(
             numbers[name], shown[name] = np.array(values) * place.size, place.unit
     notes = [*cells.notes, *notes, *(["the file has thousands separators"] if grouping else [])]
     return Table(source, np.array([k for k, _ in body]), numbers, texts, shown, tuple(cells.header), tuple(notes))
-
-
-def listed(header: Sequence[str]) -> str:
-    """The columns of a file as written, for a message."""
-    more = f" and {len(header) - SHOWN} more" if len(header) > SHOWN else ""
-    return ", ".join(" ".join(text[:60].split()) or "(no name)" for text in header[:SHOWN]) + more
 
 
 def nearest(header: str, names: Iterable[str]) -> str | None:
@@ -233,11 +228,10 @@ def _given(name: str, about: object) -> dict[str, object]:
 
 def _matching(source: str, name: str, column: str, header: Sequence[str]) -> int:
     """Number of the column that [columns] names: as written, else whatever its capitals, spaces and brackets."""
-    ways = (
-        lambda text: column in (text, split(text)[0]),
-        lambda text: _key(column) in (_key(text), _key(name_and_unit(text)[0])),
-    )
-    matches = next((found for way in ways if (found := [k for k, text in enumerate(header) if way(text)])), [])
+    matches = [k for k, text in enumerate(header) if column in (text, split(text)[0])]
+    if not matches:
+        keys = [(_key(text), _key(name_and_unit(text)[0])) for text in header]
+        matches = [k for k, own in enumerate(keys) if _key(column) in own]
     if len(matches) != 1:
         why = "no column of the file" if not matches else f"the header of {len(matches)} columns"
         near = difflib.get_close_matches(column, [text for text in header if text], 2)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from rvjax._ground import columns as cells
-from rvjax._ground.cells import is_number
+from rvjax._ground.cells import is_number, listed
 from rvjax._ground.columns import Table
 from rvjax.measured.conditions import DIRECTIONS, Conditions
 from rvjax.measured.curve import Curve, Run
@@ -48,11 +48,15 @@ def read_table(
     enough = [own.needs for name, own in KINDS.items() if kind in (None, name)]
     table = cells.read_table(path, columns, units=UNITS, words=WORDS, enough=enough, named=is_column)
     found = {name for name in KINDS if kind in (None, name) and set(KINDS[name].needs) <= table.numbers.keys()}
-    if found == {"loop"} and len(np.unique(table.numbers["torque"])) < SWEPT:
-        found = set()  # a wide table at a few nominal torques
-    if found or kind not in (None, "curve"):
+    few = found == {"loop"} and len(np.unique(table.numbers["torque"])) < SWEPT
+    if (found and not few) or kind not in (None, "curve"):
         return table
-    return read_wide(path, table, columns, units=UNITS, words=WORDS) or table
+    try:  # a wide table may be at a few nominal torques
+        return read_wide(path, table, columns, units=UNITS, words=WORDS) or table
+    except ValueError:
+        if few:
+            return table
+        raise
 
 
 @dataclass(frozen=True)
@@ -116,11 +120,12 @@ def _kind(table: Table, wanted: str | None) -> str:
     """Kind of measurement of a table."""
     has = table.numbers.keys()
     have = ", ".join([*has, *table.words])
-    for name in KINDS[wanted].needs if wanted else ():
-        if name not in has:
-            said = f'has no column "{name} [{USUAL[name]}]"; it has {have or "no column that is known"}'
-            raise ValueError(f"{table.source}: {said}; {_named(table, KINDS[wanted].needs)}")
     if wanted:
+        needs = KINDS[wanted].needs
+        for name in needs:
+            if name not in has:
+                said = f'has no column "{name} [{USUAL[name]}]"; it has {have or "no column that is known"}'
+                raise ValueError(f"{table.source}: {said}; {_named(table, needs)}")
         return wanted
     for name, kind in sorted(KINDS.items(), key=lambda item: len(item[1].needs)):  # a frequency decides alone
         if set(kind.needs) <= has:
@@ -152,9 +157,9 @@ def _named(table: Table, needs: Sequence[str]) -> str:
             column, line = cells.mapping(name, table.header, UNITS[name], used)
             used.append(column)
             lines.append(line)
-    has = f"the file has the columns {cells.listed(table.header)}"
+    has = f"the file has the columns {listed(table.header)}"
     if all(map(is_number, table.header)):
-        has = f"the first line, {cells.listed(table.header)}, has numbers; write the names of the columns above it"
+        has = f"the first line, {listed(table.header)}, has numbers; write the names of the columns above it"
     near = {text: cells.nearest(text, needs) for text in table.header if text not in used[: -len(lines) or None]}
     meant = [f"did you mean {name} for {text!r}?" for text, name in near.items() if name and name not in table.numbers]
     return "; ".join([has, *meant, f"name foreign ones in [columns], such as {'; '.join(lines)}"])

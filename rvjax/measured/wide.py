@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from rvjax._ground import columns as cells
+from rvjax._ground.cells import listed
 from rvjax._ground.columns import Table, Units, name_and_unit
 
 SIDES = {
@@ -80,7 +81,7 @@ def read_wide(
     if not runs or not ("angle" in table.numbers or targets):
         return None
     if "angle" not in table.numbers and len(targets) > 1:
-        both = cells.listed([header[k] for k in targets])
+        both = listed([header[k] for k in targets])
         line = cells.mapping("angle", [header[targets[0]]], units["angle"])[1]
         raise ValueError(f"{path}: the target may be in {both}; write one in [columns]: {line}")
     at = {f"run {k}": k for k in runs}
@@ -109,7 +110,7 @@ def read_wide(
     texts = {name: [cell for cell in own for _ in runs] for name, own in read.words.items()}
     texts |= {"direction": list(runs.values()) * len(target)}
     sides = "; ".join(
-        f"{side}: {cells.listed([header[k] for k in runs if runs[k] == side])}" for side in dict.fromkeys(runs.values())
+        f"{side}: {listed([header[k] for k in runs if runs[k] == side])}" for side in dict.fromkeys(runs.values())
     )
     first = next(iter(runs))
     shown = {n: u for n, u in read.shown.items() if n in units} | {"error": read.shown[f"run {first}"]}
