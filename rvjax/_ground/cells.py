@@ -41,7 +41,7 @@ class Cells:
 
 @dataclass(frozen=True)
 class _Mode:
-    """How lines are split: by a character, or by white space (" "; "  " for two or more, or a tab)."""
+    """A way to split lines: at a character, or at white space (" "; "  " for two or more, or a tab)."""
 
     delimiter: str
     rows: str = ""  # of the body, where it differs
@@ -49,7 +49,7 @@ class _Mode:
 
     @property
     def spaced(self) -> bool:
-        """Whether white space separates the cells."""
+        """True if white space separates the cells."""
         return self.delimiter in ("  ", " ")
 
     def header(self, lines: Sequence[str]) -> list[str]:
@@ -62,7 +62,7 @@ class _Mode:
             return []
 
     def fits(self, cells: Sequence[str], below: Sequence[str]) -> bool:
-        """Whether a line below a header has as many cells, one of them a number."""
+        """True if a line below a header has as many cells, one of them a number."""
         rows = [_spaced(x, self.rows or self.delimiter) if self.spaced else self.header([x]) for x in below]
         return any(len(row) == len(cells) and any(map(is_number, row)) for row in rows)
 
@@ -90,7 +90,7 @@ def listed(texts: Sequence[str]) -> str:
 
 
 def is_number(cell: str) -> bool:
-    """Whether a cell is written as a number, with a decimal point or comma."""
+    """Return True for a number with a decimal point or comma."""
     try:
         float(cell.strip().replace(",", ".") or "x")
     except ValueError:
@@ -105,7 +105,7 @@ def read_cells(
     short: bool = False,
     named: Callable[[str], int] = lambda cell: 0,
 ) -> Cells:
-    """Header and rows of a table, whatever separates the cells.
+    """Header and rows of a table, with any separator of the cells.
 
     The first line is the header, unless a later one has more names that are known.
 
@@ -132,8 +132,13 @@ def read_cells(
         notes += [f"the header is line {at + 1}; the lines before it are not read"]
     rest = [*[""] * at, head, *lines[at + 1 :]]
     for k in filled[filled.index(at) + 1 :][:1]:  # "# deg arcsec" under "# angle error"
-        cells = modes[0].header([_unmarked(lines[k])]) if _comment(lines[k]) else []
-        if cells and all(recognised(unbracketed(cell), UNITS) for cell in cells):
+        marked = _comment(lines[k]) and not lines[k].startswith(modes[0].delimiter)
+        cells = modes[0].header([_unmarked(lines[k])]) if marked else []
+        if (
+            cells
+            and len(cells) == len(modes[0].header([head]))
+            and all(recognised(unbracketed(cell), UNITS) for cell in cells)
+        ):
             rest[k] = _unmarked(lines[k])
     failure: ValueError | None = None
     for mode in modes:

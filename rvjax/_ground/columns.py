@@ -119,7 +119,7 @@ def read_table(
 
 
 def nearest(header: str, names: Iterable[str]) -> str | None:
-    """Return the name of which a header is a slip of the pen; None if it is none.
+    """Return the name of which a header is a misspelling; None if there is none.
 
     Args:
         header: as written.
@@ -227,7 +227,7 @@ def _given(name: str, about: object) -> dict[str, object]:
 
 
 def _matching(source: str, name: str, column: str, header: Sequence[str]) -> int:
-    """Number of the column that [columns] names: as written, else whatever its capitals, spaces and brackets."""
+    """Number of the column that [columns] names: as written, else with other capitals, spaces or brackets."""
     matches = [k for k, text in enumerate(header) if column in (text, split(text)[0])]
     if not matches:
         keys = [(_key(text), _key(name_and_unit(text)[0])) for text in header]

@@ -12,13 +12,13 @@ _GROUPS = {
 
 
 def _is_proof(text: str, mark: str) -> bool:
-    """Whether a mark can only separate thousands: it occurs twice, or before the other mark."""
+    """Return True if a mark can only separate thousands: it occurs twice, or before the other mark."""
     other = "." if mark == "," else ","
     return re.fullmatch(_GROUPS[mark], text) is not None and (text.count(mark) > 1 or other in text)
 
 
 def has_decimal_comma(text: str) -> bool:
-    """Whether the comma of a number cannot separate thousands, as in "0,5"."""
+    """Return True if the comma of a number cannot separate thousands, as in "0,5"."""
     return re.fullmatch(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?", text) is not None and not re.fullmatch(_GROUPS[","], text)
 
 

@@ -17,7 +17,7 @@ from rvjax.measured.curve import Curve, Run
 from rvjax.measured.kind import Item, Kind
 from rvjax.measured.loop import Hysteresis
 from rvjax.measured.tones import Frequencies
-from rvjax.measured.wide import is_column, read_wide
+from rvjax.measured.wide import is_column, read_wide, side_of
 from rvjax.units import KNOWN, recognised
 
 USUAL = {"angle": "deg", "error": "arcsec", "torque": "N m", "speed": "rpm", "frequency": "Hz", "sd": "Hz"}
@@ -48,7 +48,8 @@ def read_table(
     enough = [own.needs for name, own in KINDS.items() if kind in (None, name)]
     table = cells.read_table(path, columns, units=UNITS, words=WORDS, enough=enough, named=is_column)
     found = {name for name in KINDS if kind in (None, name) and set(KINDS[name].needs) <= table.numbers.keys()}
-    few = found == {"loop"} and len(np.unique(table.numbers["torque"])) < SWEPT
+    both = {side_of(text) for text in table.header} >= set(DIRECTIONS)
+    few = found == {"loop"} and both and len(np.unique(table.numbers["torque"])) < SWEPT
     if (found and not few) or kind not in (None, "curve"):
         return table
     try:  # a wide table may be at a few nominal torques
@@ -156,13 +157,14 @@ def _named(table: Table, needs: Sequence[str]) -> str:
         if name not in table.numbers:
             column, line = cells.mapping(name, table.header, UNITS[name], used)
             used.append(column)
-            lines.append(line)
+            lines += [line] if column else []
     has = f"the file has the columns {listed(table.header)}"
     if all(map(is_number, table.header)):
         has = f"the first line, {listed(table.header)}, has numbers; write the names of the columns above it"
     near = {text: cells.nearest(text, needs) for text in table.header if text not in used[: -len(lines) or None]}
     meant = [f"did you mean {name} for {text!r}?" for text, name in near.items() if name and name not in table.numbers]
-    return "; ".join([has, *meant, f"name foreign ones in [columns], such as {'; '.join(lines)}"])
+    such = [f"name foreign ones in [columns], such as {'; '.join(lines)}"] if lines else []
+    return "; ".join([has, *meant, *such])
 
 
 def _groups(table: Table) -> list[tuple[Conditions, np.ndarray]]:

@@ -48,13 +48,13 @@ def side_of(header: str) -> str | None:
 
 
 def is_target(header: str) -> bool:
-    """Whether a header names the target angles."""
+    """Return True for the header of the target angles."""
     words = set(_words(header))
     return bool(words & TARGETS) and words <= TARGETS | _POSITION
 
 
 def is_column(header: str) -> bool:
-    """Whether a header belongs to a wide table."""
+    """Return True for a header of a wide table."""
     return is_target(header) or side_of(header) is not None
 
 
