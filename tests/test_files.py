@@ -214,7 +214,7 @@ WRONG = {
         "target [deg],nominal [deg],fwd [deg]\n0,0,0\n",
         ["the target may be in target [deg], nominal [deg]"],
     ),
-    "wide, readings": ("target [deg],fwd [deg]\n0,0\n30,10\n", ["neither near the targets nor near zero"]),
+    "wide, readings": ("target [deg],fwd [deg]\n0,0\n30,20\n", ["neither near the targets nor near zero"]),
 }
 
 

@@ -149,10 +149,9 @@ def _fitting(table: Table, needs: Sequence[str]) -> float:
 
 def _named(table: Table, needs: Sequence[str]) -> str:
     """List the columns of a file as written, and what to write in [columns] for the quantities that are missing."""
-    used, lines = [], []
-    for text in table.header:
-        guess = cells.loosely(text, UNITS)
-        used += [text] if guess is not None and guess[0] in table.numbers else []
+    guesses = {text: cells.loosely(text, UNITS) for text in table.header}
+    taken = [text for text, guess in guesses.items() if guess is not None and guess[0] in table.numbers]
+    used, lines = list(taken), list[str]()
     for name in needs:
         if name not in table.numbers:
             column, line = cells.mapping(name, table.header, UNITS[name], used)
@@ -161,7 +160,7 @@ def _named(table: Table, needs: Sequence[str]) -> str:
     has = f"the file has the columns {listed(table.header)}"
     if all(map(is_number, table.header)):
         has = f"the first line, {listed(table.header)}, has numbers; write the names of the columns above it"
-    near = {text: cells.nearest(text, needs) for text in table.header if text not in used[: -len(lines) or None]}
+    near = {text: cells.nearest(text, needs) for text in table.header if text not in taken}
     meant = [f"did you mean {name} for {text!r}?" for text, name in near.items() if name and name not in table.numbers]
     such = [f"name foreign ones in [columns], such as {'; '.join(lines)}"] if lines else []
     return "; ".join([has, *meant, *such])
