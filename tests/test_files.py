@@ -360,7 +360,7 @@ def test_a_study_of_the_reducer_alone_compensates(tmp_path, monkeypatch, capsys)
     assert list(curve.correction.order) == [40]
     np.testing.assert_allclose(curve.correction.value, [10 * arcsec], rtol=2e-3)
     assert cli.main(["compensate", "reducer.toml", "curve.csv", "--export", "t.csv"]) == 0
-    capsys.readouterr()
+    assert "columns are read: 'enc' as angle in count, 'error (arcsec)' as error in arcsec" in capsys.readouterr().out
     for command in (["allocate"], ["check"], ["identify", "curve.csv"], ["montecarlo"], ["budget"]):
         assert cli.main([command[0], "reducer.toml", *command[1:]]) == 2
         assert "reducer: [tolerances] is missing or empty" in capsys.readouterr().err

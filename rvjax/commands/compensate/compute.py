@@ -57,10 +57,12 @@ class Corrections:
     Attributes:
         curves: in the order in which they first occur.
         tables: of the curves, in the same order.
+        notes: how the file was read, where it has not the plain form.
     """
 
     curves: tuple[Curve, ...]
     tables: tuple[Table, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def phases(inputs: Inputs) -> dict[str, float]:
@@ -107,10 +109,12 @@ def corrections(
     """
     if not isinstance(study.design, RVReducer):
         raise StudyError(f"{study.name}: an RV reducer is needed, whose ratio and pins are read")
-    runs = [run for run in read_measured([path], study.columns, kind="curve").runs if len(run.angle)]
+    read = read_measured([path], study.columns, kind="curve")
+    runs = [run for run in read.runs if len(run.angle)]
     if not runs:
         raise StudyError(f"{path}: holds no point")
-    return Corrections(tuple(_curve(study.design, run, angle_sd, count, first_order) for run in runs))
+    curves = tuple(_curve(study.design, run, angle_sd, count, first_order) for run in runs)
+    return Corrections(curves, notes=read.notes)
 
 
 def _curve(design: RVReducer, run: Run, angle_sd: float, count: int | None, first_order: bool) -> Curve:
