@@ -241,6 +241,12 @@ def test_what_was_not_plain_is_said(write):
     assert not same(write(f"{PLAIN},note\n{rows(after=',x')}")).notes
 
 
+def test_a_suffix_that_is_no_unit_of_the_quantity_is_another_column(write):
+    more = "".join(f"{line},7,8\n" for line in rows().split())
+    found = same(write(f"angle_deg,error_arcsec,torque_h,angle_m\n{more}"))
+    assert found.notes[0].endswith("not read: torque_h, angle_m")
+
+
 def test_plain_headers_are_read_as_before_whatever_else_the_file_has(write):
     """A column in brackets that was skipped before must not split a run, nor make the file another kind."""
     more = "".join(f"{line},{k},{k},{20 + k}\n" for k, line in enumerate(rows().split()))

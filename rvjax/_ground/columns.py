@@ -279,24 +279,24 @@ def name_and_unit(header: str) -> tuple[str, str | None]:
     return (match[1], match[2]) if match and (match[2] == "" or not match[2].isdecimal()) else (header, None)
 
 
-def loosely(header: str, names: Iterable[str], words: Iterable[str] = ()) -> tuple[str, str | None] | None:
+def loosely(header: str, units: Units, words: Iterable[str] = ()) -> tuple[str, str | None] | None:
     """Name and unit of a header such as "Angle_deg", "angle/deg" or "angle（deg）"; None if it is another column.
 
     Args:
         header: as written.
-        names: of the quantities that are wanted.
+        units: quantities that are wanted, each with its units.
         words: columns of text that are wanted; they have no unit.
     """
     head, unit = name_and_unit(header)
-    for name in [*names, *words]:
+    for name in [*units, *words]:
         if _key(head) == _key(name):
             return (name, unit) if unit is None or recognised(unit, UNITS) else None
     text = narrow(header).strip()
-    for name in names:
+    for name, own in units.items():
         start = r"[\s_-]+".join(map(re.escape, name.split("_")))
         for pattern in (rf"{start}{_BETWEEN}(.+)", rf"{start}\s*([°º′″'\"].*)"):
             match = re.fullmatch(pattern, text, re.IGNORECASE)
-            if match and recognised(match[1], UNITS):
+            if match and recognised(match[1], [*own, *(["count"] if "turn" in own else [])]):
                 return name, match[1]
     return None
 
