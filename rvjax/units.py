@@ -6,6 +6,7 @@ N m, kg, s, Pa); text with units ("3.5 mm") is for study files and reports only.
 
 import math
 import re
+from collections.abc import Collection
 
 from rvjax._ground.choices import meant, unknown
 
@@ -17,16 +18,24 @@ arcsec = deg / 3600
 rpm = 2 * math.pi / 60
 MPa = 1e6
 GPa = 1e9
+GRAVITY, POUND, FOOT = 9.80665, 0.45359237, 0.3048  # m/s2, kg, m: exact by definition
 
 # For each SI unit, the units a person may write.
 KNOWN: dict[str, dict[str, float]] = {
     "m": {"m": 1.0, "mm": mm, "um": um},
     "m3": {"m3": 1.0, "cm3": 1e-6, "mm3": 1e-9},
-    "rad": {"rad": 1.0, "deg": deg, "arcmin": arcmin, "arcsec": arcsec},
-    "rad/s": {"rad/s": 1.0, "rpm": rpm, "r/min": rpm},
+    "rad": {"rad": 1.0, "deg": deg, "arcmin": arcmin, "arcsec": arcsec}
+    | {"mrad": 1e-3, "urad": 1e-6, "turn": 2 * math.pi, "gon": math.pi / 200},
+    "rad/s": {"rad/s": 1.0, "rpm": rpm, "r/min": rpm, "1/min": rpm, "deg/s": deg, "turn/s": 2 * math.pi},
     "rad/s2": {"rad/s2": 1.0},
     "N": {"N": 1.0, "kN": 1e3},
-    "N m": {"N m": 1.0, "kN m": 1e3},
+    "N m": {"N m": 1.0, "kN m": 1e3, "mN m": 1e-3, "N cm": 1e-2, "N mm": 1e-3}
+    | {
+        "kgf m": GRAVITY,
+        "kgf cm": GRAVITY / 100,
+        "lbf ft": POUND * GRAVITY * FOOT,
+        "lbf in": POUND * GRAVITY * FOOT / 12,
+    },
     "N/m": {"N/m": 1.0, "N/mm": 1e3, "N/um": 1e6},
     "N m s/rad": {"N m s/rad": 1.0},
     "N m/rad": {"N m/rad": 1.0, "N m/arcmin": 1 / arcmin},
@@ -38,6 +47,39 @@ KNOWN: dict[str, dict[str, float]] = {
     "Hz": {"Hz": 1.0, "kHz": 1e3},
 }
 
+# Units that are read, but not chosen for a number in a report.
+_READ_ONLY = {"mrad", "urad", "turn", "gon", "r/min", "1/min", "deg/s", "turn/s"}
+_READ_ONLY |= {"mN m", "N cm", "N mm", "kgf m", "kgf cm", "lbf ft", "lbf in"}
+
+# What the headers of a bench have for a unit, without spaces and points, in lower case.
+_ALIASES = {
+    "deg": ("°", "degree", "degrees", "degs", "angulardegree", "度"),
+    "arcmin": ("'", "arcmins", "arcminute", "arcminutes", "minuteofarc", "minutesofarc", "角分", "分"),
+    "arcsec": ('"', "''", "arcsecs", "asec", "arcs", "arcsecond", "arcseconds", "secondsofarc", "角秒", "秒"),
+    "rad": ("radian", "radians", "弧度"),
+    "mrad": ("milliradian", "milliradians"),
+    "urad": ("microradian", "microradians"),
+    "turn": ("turns", "rev", "revs", "revolution", "revolutions", "转", "圈"),
+    "gon": ("gons",),
+    "count": ("counts", "cnt", "cnts", "tick", "ticks", "pulse", "pulses", "inc", "increment", "increments"),
+    "rpm": ("rpm", "min1", "rev/min", "revs/min", "u/min", "turn/min", "turns/min", "r/min", "转/分", "转/min"),
+    "deg/s": ("°/s", "degrees/s", "deg/sec", "dps"),
+    "turn/s": ("rev/s", "revs/s", "rps", "r/s", "turns/s"),
+    "N m": ("nm", "newtonmeter", "newtonmeters", "newtonmetre", "newtonmetres", "牛米", "牛顿米"),
+    "kN m": ("knm",),
+    "lbf ft": ("lbft", "ftlb", "ftlbf", "ftlbs", "lbsft"),
+    "lbf in": ("lbin", "inlb", "inlbf", "inlbs", "lbsin"),
+    "kgf m": ("kpm",),
+    "degC": ("°c", "℃", "c", "degc", "celsius", "degcelsius", "degreec", "degreescelsius", "摄氏度"),
+    "Hz": ("hertz", "cps"),
+    "kHz": ("khz",),
+    "um": ("micron", "microns", "micrometer", "micrometers", "micrometre", "micrometres", "微米"),
+    "mm": ("millimeter", "millimeters", "millimetre", "millimetres", "毫米"),
+}  # fmt: skip
+_ALIAS = {word: unit for unit, words in _ALIASES.items() for word in words}
+_PRIMES = str.maketrans({"º": "°", "′": "'", "’": "'", "‘": "'", "´": "'", "″": '"', "”": '"', "“": '"', "˝": '"'})
+_BETWEEN = re.compile(r"[\s·*.⋅∙•‧^_-]+")
+
 # What people write for a unit, for the hint of an error.
 _WORDS = {"h": ("hour", "hours", "hr", "hrs"), "s": ("sec", "second", "seconds"), "um": ("micron", "microns"),
           "deg": ("degree", "degrees"), "r/min": ("rev/min", "1/min", "min-1", "r.p.m.", "turns/min")}  # fmt: skip
@@ -47,13 +89,30 @@ _MEANT = {word: unit for unit, words in _WORDS.items() for word in words}
 READ_IN = {"m": "um", "m3": "cm3", "rad": "arcmin", "Pa": "MPa"}
 
 
-_NUMBER_AND_UNIT = re.compile(r"([-+]?(?:\d[\d_]*\.?\d*|\.\d+|\d*inf|nan)(?:[eE][-+]?\d+)?)\s*([^\W\d_].*|)")
+_NUMBER_AND_UNIT = re.compile(
+    r"([-+]?(?:\d[\d_]*\.?\d*|\.\d+|\d*inf|nan)(?:[eE][-+]?\d+)?)\s*((?:(?<=\s)1/)?[^\W\d_].*|)"
+)
 
 
 def spelling(name: str) -> str:
     """Return the spelling of a unit in this module: "um" for "µm", "N m" for "Nm" and "N·m"."""
     name = name.strip().replace("\u00b5", "u").replace("\u03bc", "u").replace("\u00b2", "2")
-    return re.sub(r"N\s*[·*.]?\s*m(?!m)\b", "N m", name)
+    return re.sub(r"N\s*[·*.⋅∙•‧-]?\s*m(?!m)\b", "N m", name)
+
+
+def recognised(name: str, known: Collection[str]) -> str | None:
+    """Return the unit that the header of a table means, "deg" for "°" and "rpm" for "min^-1"; None if there is none.
+
+    Args:
+        name: as written.
+        known: units that the quantity may have.
+    """
+    plain, bare = spelling(name), _BETWEEN.sub("", spelling(name).translate(_PRIMES))
+    for unit in known:
+        if unit == plain or bare == _BETWEEN.sub("", unit):  # "mNm" and "MNm" differ
+            return unit
+    meant = _ALIAS.get(bare.casefold()) or next((u for u in _ALIASES if u.isalpha() and u == bare.casefold()), None)
+    return meant if meant in known else None
 
 
 def parse(value: object, unit: str) -> float:
@@ -116,13 +175,14 @@ def unit_of(value: str, unit: str) -> str:
 
 
 def suited(value: float, unit: str) -> tuple[str, float]:
-    """Name and SI size of the largest unit in which a value is at least one, else of the smallest there is.
+    """Name and SI size of the largest usual unit in which a value is at least one, else of the smallest there is.
 
     Args:
         value: SI.
         unit: its SI unit.
     """
-    sizes = sorted(KNOWN.get(unit, {unit: 1.0}).items(), key=lambda item: -item[1])
+    usual = {name: size for name, size in KNOWN.get(unit, {unit: 1.0}).items() if name not in _READ_ONLY}
+    sizes = sorted(usual.items(), key=lambda item: -item[1])
     return next((item for item in sizes if abs(value) >= item[1]), sizes[-1])
 
 

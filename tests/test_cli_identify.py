@@ -98,6 +98,7 @@ def test_the_unit_is_found(answered):
     code, _, found = answered
     assert code == 0 and found["status"] == "CONVERGED" and found["adequate"] is True
     assert set(found) >= {"status", "adequate", "verdict", "value", "lower", "upper", "directions", "shares", "broken"}
+    assert "notes" not in found  # the plain form
     assert set(found) >= {"fit", "next", "seed", "versions"} and found["versions"]["rvjax"] == rvjax.__version__
     assert found["noise"] == pytest.approx(NOISE, rel=0.5)  # a median of 20 amplitudes
     value, lower, upper = (found[key] for key in ("value", "lower", "upper"))
@@ -170,6 +171,14 @@ def test_check_needs_no_data_where_the_noise_is_known(here, capsys):
     assert found["part_orders"] == []  # two cranks and 39 teeth: the housing makes every order
     code, _, said = run(capsys, "unit.toml", "--check")
     assert code == 2 and "identify.noise = 'floor'" in said and said.count("\n") == 1
+
+
+def test_how_a_file_was_read_is_printed(here, capsys):
+    lines = (here / "unit.csv").read_text().replace("angle [deg],error [arcsec]", 'Angle (°),Error (")')
+    (here / "odd.txt").write_text("# bench 3\n" + lines)
+    code, out, _ = run(capsys, "unit.toml", "odd.txt", "--check")
+    assert code == 0 and "odd.txt: the header is line 2; the lines before it are not read" in out
+    assert "'Angle (°)' as angle in deg, 'Error (\")' as error in arcsec" in " ".join(out.split())
 
 
 def test_a_curve_that_no_part_can_make_is_rejected(here, undrawn, capsys):

@@ -98,7 +98,7 @@ def test_rows_of_equal_conditions_are_a_run(write):
         ("angle [deg]\n1\n", "columns angle: what is needed is one of curve: angle, error; loop"),
         (
             "angle,error [arcsec]\n1,2\n",
-            "column 'angle': has no unit; write \"angle [rad]\" (rad, deg, arcmin, arcsec)",
+            "column 'angle': has no unit; write \"angle [deg]\" (deg, rad, arcmin, arcsec, mrad, urad, turn, gon)",
         ),
         ("angle [grad],error [arcsec]\n1,2\n", "column 'angle [grad]': unit 'grad' is not known"),
         ("angle [deg],angle [rad]\n1,2\n", "column 'angle [rad]': angle is in two columns"),

@@ -32,6 +32,25 @@ def test_multipliers():
         ("1 kg m²", "kg m2", 1.0),
         ("15 r/min", "rad/s", math.pi / 2),
         ("15 rpm", "rad/s", math.pi / 2),
+        ("15 1/min", "rad/s", math.pi / 2),
+        ("90 deg/s", "rad/s", math.pi / 2),
+        ("0.25 turn/s", "rad/s", math.pi / 2),
+        ("0.25 turn", "rad", math.pi / 2),
+        ("100 gon", "rad", math.pi / 2),
+        ("2 mrad", "rad", 2e-3),
+        ("3 urad", "rad", 3e-6),
+        ("3 µrad", "rad", 3e-6),
+        ("7 mN m", "N m", 7e-3),
+        ("7 mNm", "N m", 7e-3),
+        ("7 N*m", "N m", 7.0),
+        ("7 N⋅m", "N m", 7.0),
+        ("7 N cm", "N m", 0.07),
+        ("7 N mm", "N m", 7e-3),
+        ("1 kgf m", "N m", 9.80665),  # the standard weight of a kilogram
+        ("1 kgf cm", "N m", 0.0980665),
+        ("1 lbf ft", "N m", 1.3558179483314004),  # NIST SP 811, appendix B
+        ("1 lbf in", "N m", 0.1129848290276167),
+        ("3 1/s", "1/s", 3.0),
     ],
 )
 def test_parse(text, unit, value):
@@ -68,3 +87,31 @@ def test_readable_units():
     assert units.readable("rad") == ("arcmin", units.arcmin)
     assert units.readable("m") == ("um", units.um)
     assert units.readable("N") == ("N", 1.0)
+
+
+@pytest.mark.parametrize(
+    ("unit", "quantity", "spellings"),
+    [
+        ("deg", "rad", ["°", "º", "Deg", "DEG", "degrees", "deg."]),
+        ("arcmin", "rad", ["′", "'", "arc min", "arc-minutes"]),
+        ("arcsec", "rad", ["″", '"', "''", "”", "ARCSEC", "arc-sec", "arc sec", "asec"]),
+        ("turn", "rad", ["rev", "turns", "Revolutions"]),
+        ("urad", "rad", ["µrad", "μrad", "microradians"]),
+        ("N m", "N m", ["Nm", "N·m", "N*m", "N.m", "N-m", "N⋅m", "nm", "NM"]),
+        ("mN m", "N m", ["mNm", "mN·m"]),
+        ("N mm", "N m", ["Nmm", "N·mm"]),
+        ("lbf ft", "N m", ["ft-lb", "lb-ft", "lbf·ft", "ft lbf"]),
+        ("lbf in", "N m", ["in-lb", "lbf·in"]),
+        ("rpm", "rad/s", ["RPM", "min-1", "min^-1", "r.p.m.", "rev/min", "U/min"]),
+        ("1/min", "rad/s", ["1/min"]),
+        (None, "rad", ["grad", "sec", "min", "s", "um", "count", "%", ""]),  # the German degree is no gon
+        (None, "N m", ["MNm", "mnm", "kg m", "N/m"]),  # meganewton or millinewton: capitals decide
+    ],
+)
+def test_a_header_may_spell_a_unit_as_people_do(unit, quantity, spellings):
+    assert [units.recognised(spelling, units.KNOWN[quantity]) for spelling in spellings] == [unit] * len(spellings)
+
+
+def test_reports_choose_usual_units_only():
+    assert units.suited(2e-3, "rad")[0] == "arcmin" and units.suited(7.0, "rad")[0] == "rad"
+    assert units.suited(0.5, "N m") == ("N m", 1.0) and units.suited(2.0, "N m") == ("N m", 1.0)

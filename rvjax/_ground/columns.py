@@ -1,23 +1,25 @@
-"""Columns of a measured table: a CSV file with headers "name [unit]", read to SI."""
+"""Columns of a measured table: which column is which quantity, in which unit, read to SI."""
 
-import csv
-import io
+import difflib
+import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from rvjax._ground.cells import MARKS, UNITS, Row, listed, narrow, read_cells
 from rvjax._ground.choices import unknown
-from rvjax.units import spelling
+from rvjax._ground.numbers import grouping_of, has_decimal_comma, number_of
+from rvjax.units import recognised, spelling
 
 Units = Mapping[str, Mapping[str, float]]
 """By quantity: what it may be written in, with its size in SI."""
 
-DELIMITERS = ";\t,"
-LARGEST, SMALLEST = 1e12, 1e-100  # in any unit: beyond every size of a part, below every rounding error of a zero
+_AMBIGUOUS = {"grad": "", "grads": "", "grade": ""}  # degree in German, gon elsewhere: no unit is near
+_BETWEEN = r"\s*(?:[_/,:;.|-]|\s+in\s+|\s)\s*"  # a name and its unit
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,8 @@ class Table:
         numbers: {quantity: values in SI (n,)}; NaN where a cell is empty.
         words: {name: texts (n,)}.
         shown: {quantity: unit that the file is written in}.
+        header: names of the columns as written.
+        notes: what was read from a form that is not the plain one, a sentence each.
     """
 
     source: str
@@ -37,117 +41,264 @@ class Table:
     numbers: dict[str, np.ndarray]
     words: dict[str, list[str]]
     shown: dict[str, str]
+    header: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Column of a quantity; its unit with the size in SI; whether the header has the plain form "name [unit]"."""
+
+    column: int
+    unit: str
+    size: float
+    plain: bool
 
 
 def read_table(
-    path: str | Path, columns: Mapping[str, object] | None = None, *, units: Units, words: Sequence[str] = ()
+    path: str | Path,
+    columns: Mapping[str, object] | None = None,
+    *,
+    units: Units,
+    words: Sequence[str] = (),
+    enough: Iterable[Collection[str]] = (),
+    at: Mapping[str, int] | None = None,
+    named: Callable[[str], bool] = lambda header: False,
 ) -> Table:
-    """A table from a CSV file; commas, semicolons or tabs between the cells, decimal commas where no comma separates.
+    """A table from a text file. Commas, semicolons, tabs or spaces separate cells; decimal commas if no comma does.
 
     Args:
-        path: the file; a byte order mark is skipped.
-        columns: foreign names by quantity: the header of the column, or {column, unit} where it has no unit.
+        path: the file.
+        columns: foreign names by quantity: the header of the column, or {column, unit} where it has no unit; with
+            the unit count also counts_per_turn.
         units: quantities that are wanted, each with its units.
         words: columns of text that are wanted.
+        enough: sets of quantities; if the plain headers have one of them, other spellings are not read.
+        at: {quantity: number of its column}, where the caller has chosen it.
+        named: further names by which the line of the header is found.
 
     Raises:
         ValueError: one line that names the file, the column or the row, its value and the unit.
         FileNotFoundError: there is no such file.
     """
-    header, body, comma = read_cells(path)
-    places = _places(str(path), header, columns or {}, units, words)
+    source, columns = str(path), columns or {}
+    given = [about.get("column") if isinstance(about, dict) else about for about in columns.values()]
+    asked = {_key(one) for one in given if isinstance(one, str)}
+
+    def known(header: str) -> int:
+        head, unit = name_and_unit(header)
+        mine = _key(header) in asked or _key(head) in asked or named(header)
+        guess = loosely(header, units, words)
+        unit = guess[1] if guess else unit
+        if not (mine or guess):
+            return 0
+        return 2 if unit and recognised(unit, UNITS) else 1
+
+    cells = read_cells(path, named=known)
+    places, notes = _places(source, cells.header, columns, units, words, [*map(set, enough)], at or {})
+    if any(place.column == 0 and name in units for name, place in places.items()):
+        body: list[Row] = [(k, row) for k, row in cells.body if not row[0].lstrip().startswith(MARKS)]
+        if marked := [str(k) for k, row in cells.body if row[0].lstrip().startswith(MARKS)]:
+            notes = [f"lines of the table that are not read: {listed(marked)}", *notes]
+    else:  # words may begin with such a mark
+        body = cells.body
     numbers, texts, shown = {}, {}, {}
-    for name, (column, unit) in places.items():
-        taken = [(number, row[column].strip()) for number, row in body]
+    measured = [place.column for name, place in places.items() if name in units]
+    written = [row[k].strip() for _, row in body for k in measured]
+    grouping = grouping_of(source, written)
+    comma = cells.comma or (not grouping and any(map(has_decimal_comma, written)))  # quoted, between commas
+    for name, place in places.items():
+        taken = [(number, row[place.column].strip()) for number, row in body]
         if name in words:
             texts[name] = [cell for _, cell in taken]
         else:
-            size = units[name][unit]
-            numbers[name] = np.array([number_of(str(path), name, unit, *cell, comma) * size for cell in taken])
-            shown[name] = unit
-    return Table(str(path), np.array([number for number, _ in body]), numbers, texts, shown)
+            values = [number_of(source, name, place.unit, *cell, comma, grouping=grouping) for cell in taken]
+            numbers[name], shown[name] = np.array(values) * place.size, place.unit
+    notes = [*cells.notes, *notes, *(["the file has thousands separators"] if grouping else [])]
+    return Table(source, np.array([k for k, _ in body]), numbers, texts, shown, tuple(cells.header), tuple(notes))
 
 
-def read_cells(
-    path: str | Path, example: str = "angle [deg],error [arcsec]", *, short: bool = False
-) -> tuple[list[str], list[tuple[int, list[str]]], bool]:
-    """Header, rows (line of the file, cells), and whether a cell may have a decimal comma.
+def nearest(header: str, names: Iterable[str]) -> str | None:
+    """Return the name of which a header is a misspelling; None if there is none.
 
     Args:
-        path: of the file.
-        example: of a header, for the message.
-        short: rows may lack their last cells, which are empty.
-
-    Raises:
-        ValueError: no table.
-        FileNotFoundError: there is no such file.
+        header: as written.
+        names: that are wanted.
     """
-    path = Path(path)
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except FileNotFoundError:
-        raise FileNotFoundError(f"{path}: no such data file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: cannot be read as text ({error}); save it as UTF-8") from None
-    lines = text.splitlines()
-    first = next((k for k, line in enumerate(lines) if line.strip()), None)
-    if first is None or "\0" in text:
-        raise ValueError(f'{path}: no table; the first line must name the columns, such as "{example}"')
-    delimiter = max(DELIMITERS, key=lines[first].count)
-    try:
-        reader = csv.reader(io.StringIO(text), delimiter=delimiter, strict=True)
-        cells = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    except csv.Error as error:
-        raise ValueError(f"{path}: not a table of cells between {delimiter!r} ({error})") from None
-    header, body = [name.strip() for name in cells[0][1]], cells[1:]
-    for number, row in body:
-        row += [""] * (len(header) - len(row) if short else 0)
-        if len(row) != len(header):
-            hint = " (decimal commas? then separate cells by semicolons)" if delimiter == "," else ""
-            raise ValueError(f"{path}: row {number} has {len(row)} cells, the header {len(header)}{hint}")
-    if not body:
-        raise ValueError(f"{path}: no rows under the header {delimiter.join(header)!r}")
-    return header, body, delimiter != ","
+    found = difflib.get_close_matches(_key(name_and_unit(header)[0]), list(names), 1, 0.7)
+    return found[0] if found else None
+
+
+def mapping(
+    name: str, header: Sequence[str], units: Mapping[str, float], used: Collection[str] = ()
+) -> tuple[str, str]:
+    """Return a column that may be a quantity, and its line of [columns]: the nearest name, a known unit, or any column.
+
+    Args:
+        name: of the quantity.
+        header: names of the columns.
+        units: of the quantity, the usual one first.
+        used: columns of other quantities.
+    """
+    free = [text for text in header if text and text not in used] or [""]
+    keys = [_key(name_and_unit(text)[0]) for text in free]
+    near = difflib.get_close_matches(name, keys, 1)
+    inside = [key for key in keys if name in key]
+    fits = [key for key, text in zip(keys, free) if recognised(name_and_unit(text)[1] or "?", units)]
+    column = free[keys.index([*near, *inside, *fits, *keys][0])]
+    unit = recognised(name_and_unit(column)[1] or "?", [*units, *(["count"] if "turn" in units else [])])
+    return column, _line(name, column, unit or next(iter(units)))
+
+
+def _line(name: str, column: str, unit: str) -> str:
+    counts = ", counts_per_turn = 524288" if unit == "count" else ""
+    return f'{name} = {{ column = {json.dumps(column, ensure_ascii=False)}, unit = "{unit}"{counts} }}'
 
 
 def _places(
-    source: str, header: Sequence[str], columns: Mapping[str, object], units: Units, words: Sequence[str]
-) -> dict[str, tuple[int, str]]:
-    """{quantity: (column, unit)}."""
-    found: dict[str, tuple[int, str]] = {}
-    foreign: dict[int, tuple[str, str | None]] = {}
+    source: str,
+    header: Sequence[str],
+    columns: Mapping[str, object],
+    units: Units,
+    words: Sequence[str],
+    enough: Sequence[Collection[str]],
+    at: Mapping[str, int],
+) -> tuple[dict[str, _Place], list[str]]:
+    """{quantity: its column}, and what was read that is not plain."""
+    wanted, found = [*units, *words], dict[str, _Place]()
+    foreign: dict[int, tuple[str, dict[str, object]]] = {k: (name, {}) for name, k in at.items()}
     for name, about in columns.items():
-        if name not in units and name not in words:
-            raise unknown(f"unknown key columns.{name}", name, sorted([*units, *words]), "; known here:")
-        given = about if isinstance(about, dict) else {"column": about}
-        if not isinstance(given.get("column"), str) or not set(given) <= {"column", "unit"}:
-            raise ValueError(
-                f'columns.{name} = {about!r}: must be the header of a column, or {{column = "", unit = ""}}'
-            )
-        matches = [k for k, text in enumerate(header) if given["column"] in (text, split(text)[0])]
-        if len(matches) != 1:
-            why = "no column of the file" if not matches else f"the header of {len(matches)} columns"
-            raise ValueError(f"{source}: columns.{name} = {given['column']!r}: {why}; it has {', '.join(header)}")
-        unit = given.get("unit")
-        foreign[matches[0]] = (name, None if unit is None else str(unit))
+        if name not in wanted:
+            raise unknown(f"unknown key columns.{name}", name, sorted(wanted), "; known here:")
+        given = _given(name, about)
+        k = _matching(source, name, str(given["column"]), header)
+        if k in foreign:
+            raise ValueError(f"{source}: columns.{name} = {given['column']!r}: is the column of {foreign[k][0]} too")
+        foreign[k] = (name, given)
+    mapped = [name for name, _ in foreign.values()]
+    loose: dict[str, list[tuple[int, str | None]]] = {}
     for k, text in enumerate(header):
         name, unit = split(text)
-        name, unit = (foreign[k][0], foreign[k][1] or unit) if k in foreign else (name.lower(), unit)
-        if name not in units and name not in words:
-            continue  # a column that is not required
-        if k not in foreign and name in [taken for taken, _ in foreign.values()]:
-            continue  # [columns] names another column for this quantity
+        if k in foreign:
+            name, given = foreign[k]
+            unit = str(given["unit"]) if "unit" in given else name_and_unit(text)[1]
+            unit = "count" if unit is None and "counts_per_turn" in given else unit
+            found[name] = _placed(source, header, k, name, unit, units, given.get("counts_per_turn"))
+        elif (name := name.lower()) not in wanted:
+            if (guess := loosely(text, units, words)) is not None:
+                loose.setdefault(guess[0], []).append((k, guess[1]))
+        elif name not in mapped:  # else [columns] names another column for this quantity
+            if name in found:
+                raise ValueError(f"{source}: column {text!r}: {name} is in two columns")
+            found[name] = _placed(source, header, k, name, unit, units)
+    complete = any(set(one) <= found.keys() for one in enough)
+    left = []
+    for name, places in loose.items():
+        texts = [header[k] for k, _ in places]
         if name in found:
-            raise ValueError(f"{source}: column {text!r}: {name} is in two columns")
-        unit = spelling(unit) if unit else unit
-        if name in units and unit not in units[name]:
-            said = "has no unit" if not unit else f"unit {unit!r} is not known"
-            example = next(iter(units[name]))
-            raise ValueError(
-                f'{source}: column {text!r}: {said}; write "{name} [{example}]" ({", ".join(units[name])})'
-            )
-        found[name] = (k, unit or "")
-    return found
+            continue
+        if complete:
+            left += [f"column {text!r} is not read; {name} is read from a header such as "
+                     f'"{name} [{next(iter(units[name]), "")}]"' for text in texts if name in units]  # fmt: skip
+            continue
+        if len(places) > 1:
+            own = mapping(name, texts, units.get(name, {"": 1.0}))[1]
+            raise ValueError(f"{source}: {name} may be in {listed(texts)}; write one in [columns]: {own}")
+        found[name] = _placed(source, header, places[0][0], name, places[0][1], units)
+    odd = [f"{header[p.column]!r} as {name} in {p.unit}" for name, p in found.items() if not p.plain and name in units]
+    odd += [f"{header[p.column]!r} as {name}" for name, p in found.items() if not p.plain and name not in units]
+    others = [text for k, text in enumerate(header) if text and k not in [p.column for p in found.values()]]
+    notes = [f"columns are read: {', '.join(odd)}" + (f"; not read: {listed(others)}" if others else "")] if odd else []
+    return found, [*notes, *left]
+
+
+def _given(name: str, about: object) -> dict[str, object]:
+    """An entry of [columns]."""
+    given = about if isinstance(about, dict) else {"column": about}
+    if not isinstance(given.get("column"), str) or not set(given) <= {"column", "unit", "counts_per_turn"}:
+        raise ValueError(f'columns.{name} = {about!r}: must be the header of a column, or {{column = "", unit = ""}}')
+    if "counts_per_turn" in given:
+        counts, unit = given["counts_per_turn"], given.get("unit", "count")
+        if isinstance(counts, bool) or not isinstance(counts, int | float) or not 0 < counts < math.inf:
+            raise ValueError(f"columns.{name}.counts_per_turn = {counts!r}: must be a positive number")
+        if recognised(str(unit), {"count"}) is None:
+            raise ValueError(f'columns.{name}.counts_per_turn = {counts!r}: belongs to unit = "count", not {unit!r}')
+    return dict(given)
+
+
+def _matching(source: str, name: str, column: str, header: Sequence[str]) -> int:
+    """Number of the column that [columns] names: as written, else with other capitals, spaces or brackets."""
+    matches = [k for k, text in enumerate(header) if column in (text, split(text)[0])]
+    if not matches:
+        keys = [(_key(text), _key(name_and_unit(text)[0])) for text in header]
+        matches = [k for k, own in enumerate(keys) if _key(column) in own]
+    if len(matches) != 1:
+        why = "no column of the file" if not matches else f"the header of {len(matches)} columns"
+        near = difflib.get_close_matches(column, [text for text in header if text], 2)
+        hint = f" (did you mean {' or '.join(near)}?)" if near and not matches else ""
+        raise ValueError(f"{source}: columns.{name} = {column!r}: {why}{hint}; it has {listed(header)}")
+    return matches[0]
+
+
+def _placed(
+    source: str, header: Sequence[str], k: int, name: str, unit: str | None, units: Units, counts: object = None
+) -> _Place:
+    """Column with the size of its unit."""
+    text = header[k]
+    head, said = split(text)
+    plain = head.lower() == name
+    if name not in units:
+        return _Place(k, "", 1.0, plain)
+    own, meant = units[name], recognised(unit or "", units[name])
+    if meant is not None:
+        return _Place(k, meant, own[meant], plain and spelling(said or "") in own)
+    turn = own.get("turn")
+    if unit and turn and recognised(unit, {"count"}):
+        if isinstance(counts, int | float):
+            return _Place(k, "count", turn / float(counts), False)
+        need = f"unit {unit!r} needs the counts per turn"
+        raise ValueError(f"{source}: column {text!r}: {need}; write in [columns]: {_line(name, text, 'count')}")
+    wrong = "has no unit" if not unit else f"unit {unit!r} is not known"
+    near = difflib.get_close_matches(_AMBIGUOUS.get((unit or "").casefold(), unit or ""), own, 1)
+    wrong += f" (did you mean {near[0]}?)" if near else ""
+    example, line = next(iter(own)), _line(name, text, near[0] if near else next(iter(own)))
+    raise ValueError(
+        f'{source}: column {text!r}: {wrong}; write "{name} [{example}]" ({", ".join(own)}), or in [columns]: {line}; '
+        f"the file has the columns {listed(header)}"
+    )
+
+
+def _key(text: str) -> str:
+    """A name without capitals; spaces, underscores and hyphens are alike."""
+    return re.sub(r"[\s_-]+", "_", narrow(text).strip(" _,:/-").casefold())
+
+
+def name_and_unit(header: str) -> tuple[str, str | None]:
+    """Return name and unit of "name [unit]" or "name (unit)", with brackets of any width; None for no unit."""
+    match = re.fullmatch(r"(.*?)\s*[\[({<]\s*([^\[\](){}<>]*?)\s*[\])}>]\s*:?", narrow(header).strip())
+    return (match[1], match[2]) if match and (match[2] == "" or not match[2].isdecimal()) else (header, None)
+
+
+def loosely(header: str, units: Units, words: Iterable[str] = ()) -> tuple[str, str | None] | None:
+    """Name and unit of a header such as "Angle_deg", "angle/deg" or "angle（deg）"; None if it is another column.
+
+    Args:
+        header: as written.
+        units: quantities that are wanted, each with its units.
+        words: columns of text that are wanted; they have no unit.
+    """
+    head, unit = name_and_unit(header)
+    for name in [*units, *words]:
+        if _key(head) == _key(name):
+            return (name, unit) if unit is None or recognised(unit, UNITS) else None
+    text = narrow(header).strip()
+    for name, own in units.items():
+        start = r"[\s_-]+".join(map(re.escape, name.split("_")))
+        for pattern in (rf"{start}{_BETWEEN}(.+)", rf"{start}\s*([°º′″'\"].*)"):
+            match = re.fullmatch(pattern, text, re.IGNORECASE)
+            if match and recognised(match[1], [*own, *(["count"] if "turn" in own else [])]):
+                return name, match[1]
+    return None
 
 
 def element(field: str, place: Sequence[int]) -> str:
@@ -183,39 +334,6 @@ def place_of(name: str) -> tuple[str, tuple[int, ...]]:
 
 
 def split(header: str) -> tuple[str, str | None]:
-    """Name and unit of "name [unit]"; the name may contain brackets."""
+    """Name and unit of the plain form "name [unit]"; the name may contain brackets."""
     match = re.fullmatch(r"(.*?)\s*\[\s*([^\[\]]*?)\s*\]", header)
     return (match[1], match[2]) if match else (header, None)
-
-
-def number_of(source: str, name: str, unit: str, row: int, cell: str, comma: bool, *, missing: bool = True) -> float:
-    """Return the number in a cell, in the unit of the cell; NaN for an empty one.
-
-    Args:
-        source: name of the file, for the message.
-        name: of the quantity.
-        unit: of the cell.
-        row: line of the file.
-        cell: text.
-        comma: whether decimals may have a comma.
-        missing: "nan" is a missing reading too, as an empty cell is.
-
-    Raises:
-        ValueError: no number, not finite, or larger or smaller than any number of a part.
-    """
-    text = (cell.replace(",", ".") if comma else cell).lower()
-    if text == "" or (missing and text == "nan"):
-        return math.nan
-    where = f"{source}: row {row}, {name} = {cell[:40]!r}"
-    try:
-        value = float(text)
-    except ValueError:
-        raise ValueError(f"{where}: must be a number in {unit}") from None
-    digits = re.search("[1-9]", text.partition("e")[0])
-    if math.isnan(value) or (math.isinf(value) and not digits):
-        raise ValueError(f"{where}: must be finite, in {unit}; leave the cell empty if nothing was measured")
-    if abs(value) > LARGEST:
-        raise ValueError(f"{where}: too large, must be at most {LARGEST:g} {unit}; correct the number")
-    if digits and abs(value) < SMALLEST:  # also one that is 0 in double precision
-        raise ValueError(f"{where}: too small, must be 0 or at least {SMALLEST:g} {unit}; correct the number")
-    return value

@@ -10,38 +10,54 @@ from pathlib import Path
 import numpy as np
 
 from rvjax._ground import columns as cells
+from rvjax._ground.cells import is_number, listed
 from rvjax._ground.columns import Table
 from rvjax.measured.conditions import DIRECTIONS, Conditions
 from rvjax.measured.curve import Curve, Run
 from rvjax.measured.kind import Item, Kind
 from rvjax.measured.loop import Hysteresis
 from rvjax.measured.tones import Frequencies
-from rvjax.units import KNOWN
+from rvjax.measured.wide import is_column, read_wide, side_of
+from rvjax.units import KNOWN, recognised
 
-UNITS: dict[str, dict[str, float]] = {
-    "angle": KNOWN["rad"],
-    "error": KNOWN["rad"],
-    "torque": KNOWN["N m"],
-    "temperature": {"degC": 1.0},
-    "speed": KNOWN["rad/s"],
-    "frequency": KNOWN["Hz"],
-    "sd": KNOWN["Hz"],
-}
-"""Measurement units of each quantity, with their size in SI (temperatures stay in degC)."""
-USUAL = {
-    "angle": "deg",
-    "error": "arcsec",
-    "torque": "N m",
-    "frequency": "Hz",
-}  # units of the columns that must be there
+USUAL = {"angle": "deg", "error": "arcsec", "torque": "N m", "speed": "rpm", "frequency": "Hz", "sd": "Hz"}
+_SI = {"angle": "rad", "error": "rad", "torque": "N m", "speed": "rad/s", "frequency": "Hz", "sd": "Hz"}
+UNITS: dict[str, dict[str, float]] = {name: {usual: 0.0} | KNOWN[_SI[name]] for name, usual in USUAL.items()}
+UNITS["temperature"] = {"degC": 1.0}
+"""Measurement units of each quantity, the usual one first, with their size in SI (temperatures stay in degC)."""
+SWEPT = 4  # different torques that a loop has at least
 WORDS = ("direction", "unit")
+_WAYS = {"": "forward", "forward": "forward", "fwd": "forward", "backward": "backward", "bwd": "backward"}
 KINDS: dict[str, Kind] = {"curve": Curve(), "loop": Hysteresis(), "frequencies": Frequencies()}
 """Kinds of measurements, by the name that an `rvjax.outputs.Observation` gives it."""
 
 
-def read_table(path: str | Path, columns: Mapping[str, object] | None = None) -> cells.Table:
-    """A table that a bench has written; see `rvjax._ground.columns.read_table`."""
-    return cells.read_table(path, columns, units=UNITS, words=WORDS)
+def read_table(
+    path: str | Path, columns: Mapping[str, object] | None = None, *, kind: str | None = None
+) -> cells.Table:
+    """A table that a bench has written, long or wide; see `rvjax._ground.columns.read_table`.
+
+    Args:
+        path: of the file.
+        columns: foreign names by quantity.
+        kind: the kind that is wanted; None: any.
+
+    Raises:
+        ValueError: one line that names the file, the column or the row, its value and the unit.
+    """
+    enough = [own.needs for name, own in KINDS.items() if kind in (None, name)]
+    table = cells.read_table(path, columns, units=UNITS, words=WORDS, enough=enough, named=is_column)
+    found = {name for name in KINDS if kind in (None, name) and set(KINDS[name].needs) <= table.numbers.keys()}
+    both = {side_of(text) for text in table.header} >= set(DIRECTIONS)
+    few = found == {"loop"} and both and len(np.unique(table.numbers["torque"])) < SWEPT
+    if (found and not few) or kind not in (None, "curve"):
+        return table
+    try:  # a wide table may be at a few nominal torques
+        return read_wide(path, table, columns, units=UNITS, words=WORDS) or table
+    except ValueError:
+        if few:
+            return table
+        raise
 
 
 @dataclass(frozen=True)
@@ -51,10 +67,12 @@ class Measured:
     Attributes:
         kind: "curve", "loop" or "frequencies".
         items: in the order of the files and rows.
+        notes: what was read from a form that is not the plain one, a sentence each, with the name of the file.
     """
 
     kind: str
     items: tuple[Item, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def units(self) -> list[str]:
@@ -85,8 +103,9 @@ def read(
         raise ValueError("no data: name at least one CSV file")
     kinds: dict[str, str] = {}
     items: list[Item] = []
+    notes: list[str] = []
     for path in paths:
-        table = read_table(path, columns)
+        table = read_table(path, columns, kind=kind)
         held = _kind(table, kind)
         kinds.setdefault(held, str(path))
         if len(kinds) > 1:
@@ -94,24 +113,57 @@ def read(
             raise ValueError(f"{other}: holds {second}, {one} holds {first}; identify them one after the other")
         for at, rows in _groups(table):
             items.append(KINDS[held].read(table, at, rows))
-    return Measured(next(iter(kinds)), tuple(items))
+        notes += [f"{Path(path).name}: {note}" for note in table.notes]
+    return Measured(next(iter(kinds)), tuple(items), tuple(notes))
 
 
 def _kind(table: Table, wanted: str | None) -> str:
     """Kind of measurement of a table."""
     has = table.numbers.keys()
-    for name in KINDS[wanted].needs if wanted else ():
-        if name not in has:
-            have = ", ".join([*has, *table.words]) or "no column that is known"
-            raise ValueError(f'{table.source}: has no column "{name} [{USUAL[name]}]"; it has {have}')
+    have = ", ".join([*has, *table.words])
     if wanted:
+        needs = KINDS[wanted].needs
+        for name in needs:
+            if name not in has:
+                said = f'has no column "{name} [{USUAL[name]}]"; it has {have or "no column that is known"}'
+                raise ValueError(f"{table.source}: {said}; {_named(table, needs)}")
         return wanted
     for name, kind in sorted(KINDS.items(), key=lambda item: len(item[1].needs)):  # a frequency decides alone
         if set(kind.needs) <= has:
             return name
     lists = "; ".join(f"{name}: {', '.join(kind.needs)}" for name, kind in KINDS.items())
-    found = f"columns {', '.join([*has, *table.words]) or 'none of them'}: what is needed is one of {lists}"
-    raise ValueError(f"{table.source}: {found} (name foreign ones in [columns])")
+    near = max(KINDS.values(), key=lambda kind: _fitting(table, kind.needs))
+    found = f"columns {have or 'none of them'}: what is needed is one of {lists}"
+    raise ValueError(f"{table.source}: {found}; {_named(table, near.needs)}")
+
+
+def _fitting(table: Table, needs: Sequence[str]) -> float:
+    """Share of some quantities that a file may have, from the units of its columns."""
+    free, count = [cells.name_and_unit(text)[1] or "?" for text in table.header], 0
+    for name in needs:
+        fits = next((unit for unit in free if recognised(unit, UNITS[name])), None)
+        count += name in table.numbers or fits is not None
+        free = [unit for unit in free if unit is not fits]
+    return count / len(needs)
+
+
+def _named(table: Table, needs: Sequence[str]) -> str:
+    """List the columns of a file as written, and what to write in [columns] for the quantities that are missing."""
+    guesses = {text: cells.loosely(text, UNITS) for text in table.header}
+    taken = [text for text, guess in guesses.items() if guess is not None and guess[0] in table.numbers]
+    used, lines = list(taken), list[str]()
+    for name in needs:
+        if name not in table.numbers:
+            column, line = cells.mapping(name, table.header, UNITS[name], used)
+            used.append(column)
+            lines += [line] if column else []
+    has = f"the file has the columns {listed(table.header)}"
+    if all(map(is_number, table.header)):
+        has = f"the first line, {listed(table.header)}, has numbers; write the names of the columns above it"
+    near = {text: cells.nearest(text, needs) for text in table.header if text not in taken}
+    meant = [f"did you mean {name} for {text!r}?" for text, name in near.items() if name and name not in table.numbers]
+    such = [f"name foreign ones in [columns], such as {'; '.join(lines)}"] if lines else []
+    return "; ".join([has, *meant, *such])
 
 
 def _groups(table: Table) -> list[tuple[Conditions, np.ndarray]]:
@@ -119,7 +171,7 @@ def _groups(table: Table) -> list[tuple[Conditions, np.ndarray]]:
     n = len(table.rows)
     unit = table.words.get("unit", [""] * n)
     words = table.words.get("direction", [""] * n)
-    direction, stated = [word or "forward" for word in words], any(words)
+    direction, stated = [_WAYS.get(word.casefold(), word) for word in words], any(words)
     for row, word in zip(table.rows, direction):
         if word not in DIRECTIONS:
             raise ValueError(f"{table.source}: row {row}, direction = {word[:40]!r}: must be forward or backward")

@@ -13,12 +13,13 @@ from scipy import special
 
 from rvjax._ground import frames
 from rvjax._ground.axes import axis_sizes
+from rvjax._ground.cells import read_cells
 from rvjax._ground.choices import unknown
-from rvjax._ground.columns import read_cells, read_table, split
+from rvjax._ground.columns import name_and_unit, read_table, split
 from rvjax.population.estimates import Estimate, deviate_of
 from rvjax.population.tolerance import Tolerance
 from rvjax.records import Design, Metadata, PyTree
-from rvjax.units import KNOWN, spelling
+from rvjax.units import KNOWN, recognised, spelling
 
 Limit = Tolerance | tuple[float, float]
 NATURAL = 3.0
@@ -140,7 +141,8 @@ def measured(
     wanted = _found(path, about) if columns is None else dict(columns)
     units = {name: _family(name, about) for name in wanted}
     read = read_table(path, wanted, units=units)
-    si = {name: next(si for si, own in KNOWN.items() if shown in own) for name, shown in read.shown.items()}
+    shown = {name: "turn" if unit == "count" else unit for name, unit in read.shown.items()}
+    si = {name: next(si for si, own in KNOWN.items() if unit in own) for name, unit in shown.items()}
     given = _limits(limits)
     figures = {}
     for name in wanted:
@@ -164,9 +166,14 @@ def measured(
 
 def _found(path: str | Path, about: Mapping[str, Metadata] | None) -> dict[str, str]:
     """Columns by name, of those with a known unit in the header."""
-    everything = {unit for family in KNOWN.values() for unit in family}
-    heads = {text: split(text) for text in read_cells(path)[0]}
-    found = {name: text for text, (name, unit) in heads.items() if unit and spelling(unit) in everything}
+    everything = {unit: size for family in KNOWN.values() for unit, size in family.items()}
+
+    def has_unit(header: str) -> bool:
+        return recognised(name_and_unit(header)[1] or "?", everything) is not None
+
+    header = read_cells(path, named=has_unit).header
+    plain = {split(text)[0]: text for text in header if spelling(split(text)[1] or "?") in everything}
+    found = plain or {name_and_unit(text)[0]: text for text in header if has_unit(text)}
     if about is not None:
         found = {name: text for name, text in found.items() if _field(name) in about}
     if not found:

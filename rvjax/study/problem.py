@@ -50,6 +50,7 @@ class Problem:
         units: names; () without data.
         data: observation of each unit, in the order of `units`.
         items: what each unit measured.
+        notes: how the files were read, where they have not the plain form.
     """
 
     study: Study
@@ -63,6 +64,7 @@ class Problem:
     units: tuple[str, ...] = ()
     data: tuple[Seen, ...] = ()
     items: tuple[tuple[Run | Loop | Tones, ...], ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def identification(self) -> Identification:
@@ -113,7 +115,8 @@ def problem(study: Study, measured: Measured | None = None) -> Problem:
         raise ValueError(f"{study.name}: identify.orders is missing: orders of the output turn, such as [40, 80]")
     if alien := [name for name in given.nuisance if name in NUISANCES and name not in KINDS[kind].nuisances]:
         raise ValueError(f"{study.name}: identify.nuisance = {alien[0]!r}: is for curves; the data holds {kind}")
-    return {"curve": _curves, "loop": _loops, "frequencies": _frequencies}[kind](study, given, measured)
+    made = {"curve": _curves, "loop": _loops, "frequencies": _frequencies}[kind](study, given, measured)
+    return dataclasses.replace(made, notes=measured.notes) if measured else made
 
 
 def _made(

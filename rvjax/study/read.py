@@ -3,7 +3,7 @@
 import dataclasses
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 
@@ -41,13 +41,14 @@ TABLES |= {"loss", "objective", "requirement", "run", "tolerances", "variable"}
 EMBEDDED = resources.files("rvjax.study") / "embedded"
 
 
-def load(source: str, *, solve: bool = True) -> Study:
+def load(source: str, *, solve: bool = True, needs: Sequence[str] | None = None) -> Study:
     """A study from a TOML file, or an embedded one by name ("rv-40e").
 
     Args:
         source: path, or name.
         solve: also check that the unit without errors can be solved, which compiles the response; with outputs of
             `rvjax.loaded` at the first call of `Study.response`.
+        needs: tables that must be there; None: [design], [tolerances], and [requirement] or [identify].
 
     Raises:
         StudyError: one line that names the key, its value and the unit.
@@ -61,7 +62,7 @@ def load(source: str, *, solve: bool = True) -> Study:
             raise FileNotFoundError(f"{source}: no such study file") from None
         except (OSError, UnicodeDecodeError) as error:
             raise StudyError(f"{source}: cannot be read as text in UTF-8 ({error})") from None
-        return parse_study(text, name=path.stem, folder=path.parent, solve=solve)
+        return parse_study(text, name=path.stem, folder=path.parent, solve=solve, needs=needs)
     embedded = EMBEDDED / f"{source}.toml"
     if not embedded.is_file() and path.is_dir():
         own = path / "study.toml"
@@ -71,7 +72,7 @@ def load(source: str, *, solve: bool = True) -> Study:
         names = embedded_names()
         near = meant(source, [*names, *([f"{source}.toml"] if Path(f"{source}.toml").is_file() else [])])
         raise FileNotFoundError(f"{source}{near}: neither a .toml file nor an embedded study ({', '.join(names)})")
-    return parse_study(embedded.read_text("utf-8"), name=source, solve=solve)
+    return parse_study(embedded.read_text("utf-8"), name=source, solve=solve, needs=needs)
 
 
 def embedded_names() -> list[str]:
@@ -79,7 +80,9 @@ def embedded_names() -> list[str]:
     return sorted(Path(file.name).stem for file in EMBEDDED.iterdir() if file.name.endswith(".toml"))
 
 
-def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = True) -> Study:
+def parse_study(
+    text: str, *, name: str, folder: Path = Path(), solve: bool = True, needs: Sequence[str] | None = None
+) -> Study:
     """A study from TOML text.
 
     Args:
@@ -88,6 +91,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
         folder: that files named in the study are relative to.
         solve: also check that the unit without errors can be solved, which compiles the response; with outputs of
             `rvjax.loaded` at the first call of `Study.response`.
+        needs: tables that must be there; None: [design], [tolerances], and [requirement] or [identify].
 
     Raises:
         StudyError: one line that names the key, its value and the unit.
@@ -100,7 +104,8 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
             raise ValueError(f"not valid TOML: {error}{_decimal_comma(text, str(error))}") from None
         sections = {table: read for table in tables if table not in TABLES and (read := sections_reader(table))}
         known(tables, TABLES | set(sections) | models.tables(), "")
-        for key in ("design", "tolerances", *(() if "identify" in tables else ("requirement",))):
+        usual = ("design", "tolerances", *(() if "identify" in tables else ("requirement",)))
+        for key in usual if needs is None else needs:
             if not subtable(tables, key):
                 raise ValueError(f"[{key}] is missing or empty")
         design = parse_design(subtable(tables, "design"))
@@ -116,11 +121,10 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
         variables = parse_variables(subtable(tables, "variable"), design, given_paths(subtable(tables, "design")))
         objective = parse_objective(subtable(tables, "objective"), kind.outputs)
         losses = _losses(kind.outputs, subtable(tables, "loss"))
-        identification = None
+        identification, columns = None, subtable(tables, "columns")
         if "identify" in tables:
-            columns = subtable(tables, "columns")
             identification = parse_identification(subtable(tables, "identify"), columns, design, tolerances, folder)
-        elif "columns" in tables:
+        elif columns and needs is None:
             raise ValueError("[columns]: names columns of measured data, but there is no [identify]")
         if requirements:
             refuse_unplaced(kind, tuple(dict.fromkeys((*requirements, *losses))), tolerances)
@@ -143,6 +147,7 @@ def parse_study(text: str, *, name: str, folder: Path = Path(), solve: bool = Tr
             ),
             joint_target=None if "joint_target" not in run else share(run["joint_target"], "run.joint_target"),
             identification=identification,
+            columns=columns,
             variables=variables,
             objective=objective,
             nominal=nominal,

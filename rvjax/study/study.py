@@ -90,6 +90,7 @@ class Study:
         accuracy: largest error of computation allowed, by response name; without one the conditions decide.
         middles: ranges in which the limits of an error may move as a whole, by name.
         identification: content of the table [identify], or None.
+        columns: table [columns], foreign names of the columns of measured data.
         read_in: unit in which a response is reported, by its name: that of its limit; without one the usual one.
         about: title, author and revision, if the file says them.
         sections: what further tables of the file hold, by the name of the table; each belongs to a command.
@@ -114,6 +115,7 @@ class Study:
     accuracy: dict[str, float] = dataclasses.field(default_factory=dict)
     middles: dict[str, Middle] = dataclasses.field(default_factory=dict)
     identification: Identification | None = None
+    columns: Mapping[str, object] = dataclasses.field(default_factory=dict)
     read_in: dict[str, str] = dataclasses.field(default_factory=dict)
     about: About = dataclasses.field(default_factory=About)
     sections: dict[str, object] = dataclasses.field(default_factory=dict)

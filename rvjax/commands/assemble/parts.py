@@ -10,14 +10,16 @@ import numpy as np
 
 from rvjax._ground import columns
 from rvjax._ground.axes import axis_sizes
+from rvjax._ground.cells import MARKS, read_cells
 from rvjax._ground.choices import unknown
+from rvjax._ground.numbers import number_of
 from rvjax.assembly import Kind, Machine, Part, Plan, UnitResponse, draw, known as known_parts, supply_of
 from rvjax.commands.assemble.inputs import Assembly
 from rvjax.designs import RVReducer
 from rvjax.mounting import carried, disc_mountings, drawing
 from rvjax.study import KINDS, Study, StudyError, kind_of
 from rvjax.tolerances import Requirement, Tolerance
-from rvjax.units import KNOWN, spelling
+from rvjax.units import KNOWN, recognised
 
 WORDS = ("kind", "id", "stock")
 REST = "rest"
@@ -152,15 +154,20 @@ def _asked(study: Study) -> tuple[str, Requirement]:
 
 def _rows(path: Path) -> list[Row]:
     try:
-        header, body, comma = columns.read_cells(path, "kind,id,bearing_clearance [um]", short=True)
+        cells = read_cells(
+            path, "kind,id,bearing_clearance [um]", short=True, named=lambda text: text.lower() in ("kind", "id")
+        )
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: no such list of parts") from None
+    header = [text.lower() if text.lower() in WORDS else text for text in cells.header]
     for needed in ("kind", "id"):
         if needed not in header:
             raise StudyError(f"{path}: has no column {needed!r}; it has {', '.join(header)}")
-    if len(set(header)) < len(header):
+    names = [name for name in header if name]  # a delimiter at the end of each line makes a column without a name
+    if len(set(names)) < len(names):
         raise StudyError(f"{path}: two columns have the same name")
-    return [Row(number, dict(zip(header, map(str.strip, cells))), comma) for number, cells in body]
+    rows = [Row(number, dict(zip(header, map(str.strip, row))), cells.comma) for number, row in cells.body]
+    return [row for row in rows if not row.cells["kind"].startswith(MARKS)]  # a comment that has commas
 
 
 def _slots(design: RVReducer, kind: str, path: str | Path) -> tuple[list[str], dict[str, tuple[int, ...]]]:
@@ -198,7 +205,9 @@ def _kind(
         if column in WORDS or not any(row.cells[column] for row in rows):
             continue
         field, element, unit = _column(study, path, column, kind, shapes)
-        measured.setdefault(field, {})[element] = column
+        if element in measured.setdefault(field, {}):
+            raise StudyError(f"{path}: column {column!r}: {columns.element(field, element)} is in two columns")
+        measured[field][element] = column
         units[column] = unit
     if not measured:
         raise StudyError(f"{path}: parts of kind {kind!r} have no error")
@@ -215,7 +224,7 @@ def _kind(
                 if text := row.cells[column]:
                     name, size = columns.element(field, element), KNOWN[study.unit(field)][units[column]]
                     unit, at = units[column], row.number
-                    found = columns.number_of(str(path), name, unit, at, text, row.comma, missing=False)
+                    found = number_of(str(path), name, unit, at, text, row.comma, missing=False)
                     value[element] = found * size
                     sd[element] = table_of(study).sd.get(field, 0.0)
             if np.isinf(sd).any() and getattr(study.tolerances, field) is None:
@@ -247,7 +256,7 @@ def _column(
     study: Study, path: str | Path, column: str, kind: str, shapes: Mapping[str, tuple[int, ...]]
 ) -> tuple[str, tuple[int, ...], str]:
     """Field, place and unit of a column."""
-    head, unit = columns.split(column)
+    head, unit = columns.name_and_unit(column)
     try:
         field, place = columns.place_of(head)
     except ValueError:
@@ -258,13 +267,13 @@ def _column(
         raise StudyError(f"{path}: column {column!r}: {example}{hint}")
     if field not in shapes:
         raise StudyError(f"{path}: column {column!r}: parts of kind {kind!r} have {', '.join(shapes)}")
-    units, unit = KNOWN[study.unit(field)], spelling(unit)
-    if unit not in units:
+    units, known = KNOWN[study.unit(field)], recognised(unit, KNOWN[study.unit(field)])
+    if known is None:
         raise StudyError(str(unknown(f"{path}: column {column!r}: unit {unit!r}", unit, units, " is not one of")))
     shape = shapes[field]
     if len(place) != len(shape) or any(k >= size for k, size in zip(place, shape)):
         raise StudyError(f"{path}: column {column!r}: {field} of this part has the shape {shape}")
-    return field, place, unit
+    return field, place, known
 
 
 def _count(text: str, where: str) -> int:

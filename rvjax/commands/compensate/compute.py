@@ -57,10 +57,12 @@ class Corrections:
     Attributes:
         curves: in the order in which they first occur.
         tables: of the curves, in the same order.
+        notes: how the file was read, where it has not the plain form.
     """
 
     curves: tuple[Curve, ...]
     tables: tuple[Table, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def phases(inputs: Inputs) -> dict[str, float]:
@@ -108,11 +110,12 @@ def corrections(
     if kind_of(study.design).orders is None:
         able = " or ".join(kind.name for kind in KINDS.values() if kind.orders)
         raise StudyError(f"{study.name}: {able} is needed, whose ratio and pins are read")
-    columns = None if study.identification is None else study.identification.columns
-    runs = [run for run in read_measured([path], columns, kind="curve").runs if len(run.angle)]
+    read = read_measured([path], study.columns, kind="curve")
+    runs = [run for run in read.runs if len(run.angle)]
     if not runs:
         raise StudyError(f"{path}: holds no point")
-    return Corrections(tuple(_curve(study.design, run, angle_sd, count, first_order) for run in runs))
+    curves = tuple(_curve(study.design, run, angle_sd, count, first_order) for run in runs)
+    return Corrections(curves, notes=read.notes)
 
 
 def _curve(design: PyTree, run: Run, angle_sd: float, count: int | None, first_order: bool) -> Curve:

@@ -51,7 +51,7 @@ def inputs(options: argparse.Namespace) -> Inputs:
         raise ValueError(f"--export {export}: must end with one of {', '.join(FORMS)}")
     if export is not None and not export.absolute().parent.is_dir():
         raise ValueError(f"--export {export}: there is no such folder")
-    loaded = study.load(options.study, solve=False)
+    loaded = study.load(options.study, solve=False, needs=("design",))
     return Inputs(
         study=loaded,
         data=options.data,

@@ -40,6 +40,7 @@ def report(inputs: Inputs, found: Corrections) -> Report:
             *_crossed(curves),
             Note(rest),
             Note("warning: this correction holds for the encoder head that measured the curve only."),
+            *([Note("\n".join(found.notes))] if found.notes else []),
             _orders(curves),
             *(_figure(curve, end) for curve, end in zip(curves, _ends(curves))),
         ),
@@ -140,6 +141,7 @@ def _data(inputs: Inputs, found: Corrections, left: Sequence[Left]) -> dict[str,
         for curve, rows, stays in zip(found.curves, found.tables, left)
     ]
     about = {"study": inputs.study.name, "seed": inputs.study.seed, "versions": versions()}
+    about |= {"notes": list(found.notes)} if found.notes else {}
     return about | {"ratio": found.curves[0].correction.ratio, "curves": curves}
 
 

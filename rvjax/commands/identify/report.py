@@ -116,6 +116,8 @@ def _content(found: Identified, drawn: dict[str, Figure]) -> list[Content]:
         content.append(Section("Measured and identified", (*parts, *_named(drawn, "orders"))))
     content.append(Section("Identifiable errors", (_seen(found), *([Note(unknown, only_page)] if silent else []))))
     content.append(Section("Every element", (*_named(drawn, "elements"), *_elements(found))))
+    if found.problem.notes:
+        content.append(Section("Files", (Note("\n".join(found.problem.notes)),)))
     if found.batch is not None:
         content.append(Section("Units", (_units(found),)))
     if found.posterior is not None:
@@ -314,6 +316,7 @@ def _data(found: Identified) -> dict[str, object]:
     best = next(iter(found.gains or {}), None)
     said["next"] = None if best is None else {"chosen": best, "gains": found.gains}
     said |= {"noise": found.problem.sd, "runs": [run.text() for run in found.problem.runs]}
+    said |= {"notes": list(found.problem.notes)} if found.problem.notes else {}
     return said | {"seed": found.study.seed, "versions": versions()}
 
 

@@ -11,7 +11,7 @@ from rvjax._ground.choices import unknown
 from rvjax._ground.columns import read_table
 from rvjax.population.distribution import Distribution, Moments, bad
 from rvjax.records import IN_ERROR_UNIT, Array, Scalar, concrete, field, is_concrete, record
-from rvjax.units import KNOWN
+from rvjax.units import KNOWN, recognised
 
 if TYPE_CHECKING:
     from rvjax.population.tolerance import Tolerance
@@ -82,7 +82,7 @@ class Empirical(Distribution):
         ):
             raise ValueError(f"{key}: give file, column and unit as texts, not {', '.join(value)}")
         units = {"-": 1.0} if unit == "-" else KNOWN[unit]
-        if "unit" in value and value["unit"] not in units:
+        if "unit" in value and recognised(value["unit"], units) is None:
             raise unknown(f"{key}.unit = {value['unit']!r}", value["unit"], units, ": is not one of")
         column = {name: value[name] for name in ("column", "unit") if name in value}
         try:
