@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,7 @@ class Table:
         numbers: {quantity: values in SI (n,)}; NaN where a cell is empty.
         words: {name: texts (n,)}.
         shown: {quantity: unit that the file is written in}.
+        digits: {quantity: one unit of the last digit that is written, SI}.
     """
 
     source: str
@@ -37,6 +39,7 @@ class Table:
     numbers: dict[str, np.ndarray]
     words: dict[str, list[str]]
     shown: dict[str, str]
+    digits: dict[str, float]
 
 
 def read_table(
@@ -56,7 +59,7 @@ def read_table(
     """
     header, body, comma = read_cells(path)
     places = _places(str(path), header, columns or {}, units, words)
-    numbers, texts, shown = {}, {}, {}
+    numbers, texts, shown, digits = {}, {}, {}, {}
     for name, (column, unit) in places.items():
         taken = [(number, row[column].strip()) for number, row in body]
         if name in words:
@@ -64,8 +67,15 @@ def read_table(
         else:
             size = units[name][unit]
             numbers[name] = np.array([number_of(str(path), name, unit, *cell, comma) * size for cell in taken])
-            shown[name] = unit
-    return Table(str(path), np.array([number for number, _ in body]), numbers, texts, shown)
+            shown[name], digits[name] = unit, _last_digit([cell for _, cell in taken], comma) * size
+    return Table(str(path), np.array([number for number, _ in body]), numbers, texts, shown, digits)
+
+
+def _last_digit(cells: Sequence[str], comma: bool) -> float:
+    """One unit of the last digit, in the unit of the cells, which `number_of` has read; inf without a number."""
+    parts = [cell.replace(",", ".").lower() if comma else cell.lower() for cell in cells]
+    tens = [Decimal(cell).as_tuple().exponent for cell in parts if cell not in ("", "nan")]
+    return min((10.0**place for place in tens if isinstance(place, int)), default=math.inf)
 
 
 def read_cells(
