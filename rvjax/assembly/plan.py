@@ -16,6 +16,7 @@ from rvjax.assembly.on_demand import MOST_VALUED, PILOTS, OnDemand, chosen_on_de
 from rvjax.assembly.parts import Kind, Known, known
 from rvjax.assembly.random_assembly import MOST_FRESH, random_assembly
 from rvjax.assembly.supply import Build, Supply
+from rvjax.population import deviate_of, score_interval
 from rvjax.tolerances import Estimate, Requirement
 
 OBJECTIVES = ("mean", "bottleneck", "yield")
@@ -169,8 +170,8 @@ def plan(
         left_over=_left_over(slots, supply, place),
         random=_estimate(random, confidence),
         gain=_estimate(random - own, confidence),
-        yield_=None if requirement is None else _estimate(share, confidence),
-        random_yield=None if requirement is None else _estimate(random_good, confidence),
+        yield_=None if requirement is None else _share(share, confidence),
+        random_yield=None if requirement is None else _share(random_good, confidence),
         failing=tuple(map(int, np.flatnonzero(failed))) if infeasible else (),
         valued=found.count,
         combinations=math.prod(machine.shape),
@@ -311,6 +312,16 @@ def _estimate(values: np.ndarray, confidence: float) -> Estimate:
         return Estimate(np.nan, np.nan, np.nan, np.nan)
     lower, upper = np.quantile(seen, [(1 - confidence) / 2, (1 + confidence) / 2])
     return Estimate(float(seen.mean()), float(seen.std()), float(lower), float(upper))
+
+
+def _share(values: np.ndarray, confidence: float) -> Estimate:
+    """As `_estimate`; where every draw shows the same share, the score interval of so many draws."""
+    values = np.where(values > 1 - 1e-12, 1.0, values)  # weights add up to less, or more, by rounding
+    found = _estimate(values, confidence)
+    if len(values) == 1 or found.lower != found.upper:  # one draw: all is known
+        return found
+    lower, upper = score_interval(found.value, len(values), deviate_of(confidence))
+    return dataclasses.replace(found, lower=lower, upper=upper)
 
 
 def _left_over(slots: Mapping[str, Known], supply: Supply, place: np.ndarray) -> dict[str, tuple[Hashable, ...]]:
