@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import warnings
 import zlib
 from collections.abc import Hashable, Mapping
 
@@ -13,6 +14,7 @@ from rvjax.assembly.alternation import best_so_far
 from rvjax.assembly.choice import CLOSE, EXACT, least_largest, least_sum
 from rvjax.assembly.costs import Costs, Machine, UnitResponse, costs, good
 from rvjax.assembly.on_demand import MOST_VALUED, PILOTS, OnDemand, chosen_on_demand, too_many
+from rvjax.assembly.outliers import UnusualPart, outliers
 from rvjax.assembly.parts import Kind, Known, known
 from rvjax.assembly.random_assembly import MOST_FRESH, random_assembly
 from rvjax.assembly.supply import Build, Supply
@@ -121,6 +123,7 @@ def plan(
     counts |= dict(most_valued=most_valued, most_fresh=most_fresh, pilots=pilots)
     _check(kinds, objective, requirement, confidence, **counts)
     by_kind = {id(kind): known(kind, slot) for slot, kind in kinds.items()}
+    _warn(kinds)
     slots = {slot: by_kind[id(kind)] for slot, kind in kinds.items()}
     machine, supply = Machine(response, slots), supply_of(slots)
     certain = all(one.certain for one in slots.values())
@@ -312,6 +315,15 @@ def _estimate(values: np.ndarray, confidence: float) -> Estimate:
         return Estimate(np.nan, np.nan, np.nan, np.nan)
     lower, upper = np.quantile(seen, [(1 - confidence) / 2, (1 + confidence) / 2])
     return Estimate(float(seen.mean()), float(seen.std()), float(lower), float(upper))
+
+
+def _warn(kinds: Mapping[str, Kind]) -> None:
+    """Name the parts that a slip of units may have made, the furthest of each kind."""
+    for slot, kind in {id(kind): (slot, kind) for slot, kind in kinds.items()}.values():
+        if found := outliers(kind):
+            more = f" (and {len(found) - 1} more parts)" if found[1:] else ""
+            line = found[0].text(f"{slot}: part {found[0].id!r}", f"{found[0].value:.4g}")
+            warnings.warn(line + more, UnusualPart, stacklevel=4)
 
 
 def _share(values: np.ndarray, confidence: float) -> Estimate:
