@@ -140,7 +140,9 @@ def test_an_argument_in_the_place_of_another_is_told_its_name(call, named):
 
 
 def test_an_argument_that_fits_nowhere_or_has_a_wrong_name_is_told_the_others():
-    with pytest.raises(TypeError, match=r"worst_case: Requirement\(.*one too many, .* response, tolerances; .*: refine"):
+    with pytest.raises(
+        TypeError, match=r"worst_case: Requirement\(.*one too many, .* response, tolerances; .*: refine"
+    ):
         tolerances.worst_case(response, PARTS, LIMIT)
     with pytest.raises(TypeError, match=r"no argument 'requirement' \(did you mean requirements\?\)"):
         tolerances.monte_carlo(response, PARTS, samples=9, seed=0, requirement=LIMIT)

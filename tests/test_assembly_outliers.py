@@ -33,7 +33,9 @@ def changed(place, value, lot=LOT):
     ],
 )
 def test_what_lies_beyond_limits_or_lot(lot, population, expected):
-    parts = Kind([Part(f"p{i}", {"x": float(x)}) for i, x in enumerate(lot)], population=population and {"x": population})
+    parts = Kind(
+        [Part(f"p{i}", {"x": float(x)}) for i, x in enumerate(lot)], population=population and {"x": population}
+    )
     found = outliers(parts)
     assert len(found) == (expected is not None)
     if expected is not None:
@@ -43,14 +45,17 @@ def test_what_lies_beyond_limits_or_lot(lot, population, expected):
 
 
 def test_the_furthest_comes_first_and_a_gauge_is_allowed_for():
-    """Two slips, elements by their place; four standard deviations of a gauge are no slip, and what is not measured none."""
+    """Two slips, elements by place; four standard deviations of a gauge are no slip, nor is an unmeasured value."""
     values = np.tile(LOT[:, None], 2)
     values[2, 1], values[5, 0] = 40.0, -70.0
     population = {"x": Tolerance(-3.0, 3.0, shape=(2,))}
     parts = [Part(i, {"x": row}) for i, row in enumerate(values)]
     found = outliers(Kind(parts, population=population))
     assert [(one.id, one.name, one.value) for one in found] == [(5, "x[0]", -70.0), (2, "x[1]", 40.0)]
-    assert outliers(Kind([Part(p.id, p.errors, {"x": np.array([20.0, 12.0])}) for p in parts], population=population)) == ()
+    assert (
+        outliers(Kind([Part(p.id, p.errors, {"x": np.array([20.0, 12.0])}) for p in parts], population=population))
+        == ()
+    )
     unseen = [Part(p.id, p.errors, {"x": np.array([np.inf, 0.0])}) for p in parts]
     assert [one.id for one in outliers(Kind(unseen, population=population))] == [2]
     vectors = {"x": Tolerance(0.0, 3.0, distribution="rayleigh", shape=(2,))}

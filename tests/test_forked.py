@@ -1,4 +1,4 @@
-"""Processes that are forked, as `multiprocessing` does on Linux: before JAX computed they compute, after it they say why not."""
+"""Forked processes, as `multiprocessing` makes on Linux: before JAX computed they compute, after it they raise."""
 
 import os
 import subprocess

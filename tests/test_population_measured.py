@@ -132,11 +132,14 @@ DIAL = "a [mm],b [mm]\n0.01,0.00\n0.01,0.00\n0.02,0.00\n" + 7 * "0.01,0.00\n"
 
 
 def test_readings_that_are_equal_have_the_spread_of_a_step(write):
-    """Ten readings of a dial of 0.01 mm: sd 0.01 mm/sqrt(12), chi-square 2.700 of nine degrees, no end above 0 below."""
+    """Ten readings of a dial of 0.01 mm: sd 0.01 mm/sqrt(12), chi-square 2.700 of nine degrees, lower end 0."""
     limits = {"a": (0.0, 20 * um), "b": (-10 * um, 10 * um)}
     with pytest.warns(UserWarning, match="different values, in steps of 0.01 mm") as said:
         found = measured(write(DIAL), limits=limits)
-    assert [re.search("(.): 10 readings with (.) d", str(one.message)).groups() for one in said] == [("a", "2"), ("b", "1")]
+    assert [re.search("(.): 10 readings with (.) d", str(one.message)).groups() for one in said] == [
+        ("a", "2"),
+        ("b", "1"),
+    ]
     two, one = found.columns["a"], found.columns["b"]
     assert (two.distinct, one.distinct) == (2, 1) and two.step == one.step == pytest.approx(10 * um)
     assert two.sd.value == pytest.approx(10 * um / math.sqrt(10)) and two.sd.lower > 0
@@ -146,8 +149,10 @@ def test_readings_that_are_equal_have_the_spread_of_a_step(write):
     assert one.cpk.value == pytest.approx(10 * um / (3 * step)) and 0 < one.cpk.lower < one.cpk.upper < math.inf
     assert one.mean.error == pytest.approx(step / math.sqrt(10))
     np.testing.assert_allclose(found.tolerances["b"].law.values, np.arange(-4.5, 5) * um, atol=1e-18)
-    np.testing.assert_allclose(found.tolerances["a"].law.values[[0, 8, 9]], np.array([10 - 40 / 9, 10 + 40 / 9, 20]) * um)
-    with pytest.raises(ValueError, match=r"lot\.csv: b: 10 equal readings do not vary and have no correlation"):
+    np.testing.assert_allclose(
+        found.tolerances["a"].law.values[[0, 8, 9]], np.array([10 - 40 / 9, 10 + 40 / 9, 20]) * um
+    )
+    with pytest.raises(ValueError, match=r"lot\.csv: b: 10 equal readings do not vary: no correlation"):
         _ = found.correlation
 
 

@@ -129,11 +129,11 @@ def test_numbers_among_axes_are_checked_as_ever():
     zeros = jax.tree.map(lambda _: 0, RVErrors())
     assert type(dataclasses.replace(zeros, pin_radius=1 * um).eccentricity) is float
     for changes in (dict(bearing_clearance=-1.0), dict(bearing_clearance="1 um")):
-        with pytest.raises(ValueError, match="RVErrors.bearing_clearance"):
+        with pytest.raises(ValueError, match=r"RVErrors\.bearing_clearance"):
             dataclasses.replace(NONE[1], **changes)
-    with pytest.raises(ValueError, match="RVErrors.bearing_clearance"):
+    with pytest.raises(ValueError, match=r"RVErrors\.bearing_clearance"):
         RVErrors(bearing_clearance=True)
-    with pytest.raises(ValueError, match="CycloidStage.eccentricity"):
+    with pytest.raises(ValueError, match=r"CycloidStage\.eccentricity"):
         RV_40E.cycloid.replace(eccentricity=0)
 
 
@@ -157,10 +157,10 @@ def test_whole_numbers_become_real(dtype, library):
 @pytest.mark.parametrize("flag", [True, np.True_, np.array(True), jnp.array(True), jnp.ones((2, 2), bool)])
 def test_a_flag_in_the_place_of_a_number_is_named(flag):
     name = "crank_eccentricity" if np.ndim(flag) else "bearing_clearance"
-    with pytest.raises(ValueError, match=f"RVErrors.{name}.* must"):
+    with pytest.raises(ValueError, match=rf"RVErrors\.{name}.* must"):
         RVErrors(**{name: flag})
     if isinstance(flag, jax.Array):
-        with pytest.raises(ValueError, match=f"RVErrors.{name}.* must"):
+        with pytest.raises(ValueError, match=rf"RVErrors\.{name}.* must"):
             jax.jit(lambda x: RVErrors(**{name: x}))(flag)
 
 

@@ -80,7 +80,7 @@ def checked(function: Callable[P, R], of_design: Callable[[object, str], None] |
 def _misplaced(
     value: object, parameters: Mapping[str, inspect.Parameter], by_place: Sequence[str], named: Mapping[str, object]
 ) -> str:
-    """What an argument should be called that was given by its place, by its type and by what is still missing."""
+    """Message that names an argument given by its place: those of its type, first those that are missing."""
     left = {name: p for name, p in parameters.items() if name not in by_place and name not in named}
     fitting = [name for name, p in left.items() if _fits(value, p.annotation)]
     fitting = fitting or [name for name, p in left.items() if p.annotation in (object, Any)]

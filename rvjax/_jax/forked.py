@@ -1,4 +1,4 @@
-"""A process that was forked after JAX had computed: its threads are missing there, and every program would wait for ever.
+"""A process that was forked after JAX had computed: its threads are missing, and every program would wait for ever.
 
 Each computation raises there instead. What needs no program goes on, and so does all in a process that was forked
 before JAX computed anything.

@@ -1,4 +1,4 @@
-"""Parts whose errors lie far beyond their limits, or beyond all others: mostly a slip of units, or of the sign."""
+"""Parts whose errors lie far beyond their limits, or beyond all others: mostly a wrong unit, or a wrong sign."""
 
 import dataclasses
 from collections.abc import Hashable
@@ -43,7 +43,7 @@ class Outlier:
         """One line.
 
         Args:
-            part: as the reader knows it.
+            part: its name for the reader.
             value: with its unit.
         """
         return f"{part}: {self.name} = {value} lies {self.away:.3g} {self.measure}; check its unit and sign"

@@ -318,7 +318,7 @@ def _estimate(values: np.ndarray, confidence: float) -> Estimate:
 
 
 def _warn(kinds: Mapping[str, Kind]) -> None:
-    """Name the parts that a slip of units may have made, the furthest of each kind."""
+    """Name the furthest part of each kind that may have a wrong unit."""
     for slot, kind in {id(kind): (slot, kind) for slot, kind in kinds.items()}.values():
         if found := outliers(kind):
             more = f" (and {len(found) - 1} more parts)" if found[1:] else ""

@@ -37,8 +37,8 @@ class MeasuredColumn:
         distinct: different readings among them.
         step: of the instrument: one unit of the last digit, or the least difference where readings mostly repeat.
         mean: with Student's interval.
-        sd: of the lot, divisor n - 1, with the chi-square interval; at least step/sqrt(12), the sd of rounding, with the
-            lower end of the readings themselves.
+        sd: of the lot, divisor n - 1, with the chi-square interval; at least step/sqrt(12), the sd of rounding, with
+            the lower end of the readings themselves.
         minimum: smallest value.
         maximum: largest value.
         limits: lower and upper, None where none are given.
@@ -92,7 +92,7 @@ class MeasuredParts:
         single = [name for name in self.columns if "[" in name or not self.tolerances[name].shape]
         if len(single) > 1 and (still := [name for name in single if name in self.still]):
             raise ValueError(
-                f"{self.source}: {', '.join(still)}: {self.together} equal readings do not vary and have no correlation; "
+                f"{self.source}: {', '.join(still)}: {self.together} equal readings do not vary: no correlation; "
                 "leave the column out (columns=), or measure with a finer step"
             )
         found = {pair: self.pairs[pair].value for pair in itertools.combinations(single, 2)}
@@ -112,7 +112,14 @@ class MeasuredParts:
 
         def row(name: str, found: MeasuredColumn) -> dict[str, object]:
             lower, upper = found.limits or (math.nan, math.nan)
-            said = {"error": name, "unit": found.unit, "n": found.n, "distinct": found.distinct, "lower_limit": lower, "upper_limit": upper}
+            said = {
+                "error": name,
+                "unit": found.unit,
+                "n": found.n,
+                "distinct": found.distinct,
+                "lower_limit": lower,
+                "upper_limit": upper,
+            }
             said |= {"minimum": found.minimum, "maximum": found.maximum}
             said |= frames.spread("mean", found.mean) | frames.spread("sd", found.sd)
             nothing = Estimate(math.nan, math.nan, math.nan, math.nan)
@@ -246,7 +253,9 @@ def _figures(values: np.ndarray, step: float, unit: str, given: Limit | None, co
         limits = float(low), float(high)
         cpk = _capability(mean, sd, n, limits, confidence)
     distinct = len(np.unique(values))
-    return MeasuredColumn(unit, n, distinct, step, middle, spread, float(values.min()), float(values.max()), limits, cpk)
+    return MeasuredColumn(
+        unit, n, distinct, step, middle, spread, float(values.min()), float(values.max()), limits, cpk
+    )
 
 
 def _capability(mean: float, sd: float, n: int, limits: tuple[float, float], confidence: float) -> Estimate:

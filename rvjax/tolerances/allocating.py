@@ -238,7 +238,11 @@ def costs_by_field(costs: Any, active: Mapping[str, Tolerance], *, needed: bool 
     priced = {name: given[name] for name in active if isinstance(given.get(name), Cost)}
     for name in priced:  # no half-width would matter, and the coarsest costs least
         one = active[name]
-        if is_concrete(one.half_width) and one.half_width > 0 and np.all(one.moments()[1] <= (_STILL * one.half_width) ** 2):
+        if (
+            is_concrete(one.half_width)
+            and one.half_width > 0
+            and np.all(one.moments()[1] <= (_STILL * one.half_width) ** 2)
+        ):
             raise ValueError(
                 f"tolerances: {name} does not vary: {one.distribution} values that are all equal; measure with a "
                 "finer step, or give another distribution"

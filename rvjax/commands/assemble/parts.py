@@ -127,7 +127,7 @@ def bench(study: Study, path: str | Path) -> Bench:
 
 
 def _unusual(study: Study, kind: str, made: Kind, rows: list[Row]) -> list[str]:
-    """Lines on the parts of a kind that a slip of units may have made."""
+    """Lines on the parts of a kind that may have a wrong unit."""
     places = {row.cells["id"]: row.number for row in rows}
     lines = []
     for one in outliers(made):

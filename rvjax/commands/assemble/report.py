@@ -63,6 +63,7 @@ MOST = 5
 
 
 def _others(unusual: Sequence[str]) -> list[str]:
+    """Line on the parts that are not named."""
     more = len(unusual) - MOST
     return [f"{more} more parts lie as far; a whole column may have the wrong unit"] if more > 0 else []
 
