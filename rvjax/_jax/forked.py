@@ -5,11 +5,13 @@ before JAX computed anything.
 """
 
 import atexit
+import ctypes
 import os
 from typing import NoReturn
 
 import jax
 from jax._src import api, core, dispatch, xla_bridge
+from jax._src.interpreters import mlir
 
 MESSAGE = (
     "this process was forked after JAX had computed in its parent, and would hang: use spawn, "
@@ -30,6 +32,11 @@ def after_fork() -> None:
     jax.config.update("jax_disable_jit", True)  # compiled functions too reach what is evaluated one by one
     for waits in (api.clean_up, dispatch.wait_for_tokens):  # for threads, when the process ends
         atexit.unregister(waits)
+    for held in (getattr(mlir, "global_thread_pool", None), *xla_bridge._backends.values()):  # so do destructors
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(held))  # one more reference than there is: it stays
+    library = ctypes.CDLL(None)
+    if hasattr(library, "on_exit"):  # and those of LLVM: after Python has ended, the process does at once
+        library.on_exit(library._exit, None)
 
 
 if hasattr(os, "register_at_fork"):
