@@ -27,7 +27,7 @@ def changed(place, value, lot=LOT):
         (2.5 + changed(3, -2 * 2.5 - 0.2, LOT / 10), UNIT, ("p3", None, "standard deviations of the lot")),  # its sign
         (2.5 + changed(3, -1.5, LOT / 10), UNIT, None),  # within the limits: a good part
         (changed(3, 2.9), UNIT, None),
-        (np.concatenate([LOT, LOT + 50]), None, None),  # two lots
+        (np.concatenate([LOT, LOT + 0.05, LOT[:6] + 50]), None, None),  # two lots
         (np.array([0.0] * 9 + [1.0]), None, None),  # readings of a dial
         (changed(3, 8.0)[:5], None, None),  # five parts show no spread
     ],
@@ -59,8 +59,8 @@ def test_the_furthest_comes_first_and_a_gauge_is_allowed_for():
     unseen = [Part(p.id, p.errors, {"x": np.array([np.inf, 0.0])}) for p in parts]
     assert [one.id for one in outliers(Kind(unseen, population=population))] == [2]
     vectors = {"x": Tolerance(0.0, 3.0, distribution="rayleigh", shape=(2,))}
-    edge = [Part(i, {"x": np.array([-2.9, 0.0])}) for i in range(4)]
-    assert outliers(Kind(edge, population=vectors)) == ()  # both sides of zero are within the limit
+    edge = [Part(i, {"x": np.array([-3.4, 0.0])}) for i in range(4)]
+    assert outliers(Kind(edge, population=vectors)) == ()  # both sides of zero
 
 
 def test_a_plan_warns_of_the_part_and_not_of_a_usual_lot():

@@ -161,6 +161,7 @@ def test_readings_that_are_equal_have_the_spread_of_a_step(write):
     [
         ("5,0;5,0;5,0;5,0", 0.1),  # the last digit, with a decimal comma
         ("12;12;12", 1.0),
+        ("3;3.0;3", 0.1),  # the finest of them
         ("0.005;0.005;0.005;0.010;0.005;0.005;0.005;0.005;0.005;0.005;0.005;0.005;0.005", 0.005),  # steps of five
         ("3e-1;3e-1;3e-1", 0.1),
     ],
@@ -174,11 +175,12 @@ def test_the_step_of_an_instrument_is_read_from_its_readings(write, readings, st
 
 def test_readings_finer_than_their_spread_stay_as_they_are(write):
     """Two parts of a fine instrument; integers that repeat, but spread over more than a step."""
-    for text in ("10.123\n10.456\n", "1\n1\n2\n3\n3\n4\n1\n5\n"):
+    for text, step in (("10.123\n10.456\n", 0.001), ("1\n1\n2\n3\n3\n4\n1\n5\n", 1.0)):
         found = measured(write("a [um]\n" + text))
         given = np.sort([float(line) for line in text.split()]) * um
         np.testing.assert_allclose(found.tolerances["a"].law.values, given, rtol=1e-12)
         assert found.columns["a"].sd.value == pytest.approx(given.std(ddof=1))
+        assert found.columns["a"].step == pytest.approx(step * um)
 
 
 def test_a_positive_error_is_never_spread_below_zero(write):

@@ -128,6 +128,8 @@ def test_numbers_among_axes_are_checked_as_ever():
     """One real number makes data of a record, with whole numbers beside it; text is no axis."""
     zeros = jax.tree.map(lambda _: 0, RVErrors())
     assert type(dataclasses.replace(zeros, pin_radius=1 * um).eccentricity) is float
+    whole = RVErrors(**dict.fromkeys((f.name for f in dataclasses.fields(zeros)), 0))  # no copy: numbers of a part
+    assert {type(leaf) for leaf in jax.tree.leaves(whole)} == {float}
     for changes in (dict(bearing_clearance=-1.0), dict(bearing_clearance="1 um")):
         with pytest.raises(ValueError, match=r"RVErrors\.bearing_clearance"):
             dataclasses.replace(NONE[1], **changes)

@@ -21,7 +21,7 @@ from rvjax.records import Record, field, record
 from rvjax.response.response import respond
 from rvjax.status import Status
 from rvjax.study.response import Response
-from rvjax.tolerances import Outcome, Requirement, Tolerance, failure_probability, for_design, monte_carlo
+from rvjax.tolerances import Estimate, Outcome, Requirement, Tolerance, failure_probability, for_design, monte_carlo
 from rvjax.tolerances.failure import failure, subset
 from rvjax.tolerances.failure.form import Found, slopes
 from rvjax.tolerances.failure.importance_sampling import Mixture
@@ -377,6 +377,8 @@ def test_units_that_were_never_seen_bound_the_second_estimate():
 
 def test_two_hits_leave_a_probability_within_its_range():
     """A paraboloid and few draws: a symmetric interval of two weights ends below 0 (exact: 2.81017e-6)."""
+    below = failure._of_failure(Estimate(2.3e-7, 1.3e-7, -2.5e-8, 4.8e-7), False)
+    assert (below.lower, below.upper, below.error) == (0.0, 4.8e-7, 1.3e-7)
     bowl = lambda e: e["a"] - jnp.sum(e["u"] ** 2)  # noqa: E731
     tolerances = {"a": UNIT, "u": Tolerance.symmetric(3.0, shape=(4,))}
     for seed in range(4):
