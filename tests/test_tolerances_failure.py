@@ -379,6 +379,7 @@ def test_two_hits_leave_a_probability_within_its_range():
     """A paraboloid and few draws: a symmetric interval of two weights ends below 0 (exact: 2.81017e-6)."""
     below = failure._of_failure(Estimate(2.3e-7, 1.3e-7, -2.5e-8, 4.8e-7), False)
     assert (below.lower, below.upper, below.error) == (0.0, 4.8e-7, 1.3e-7)
+    assert failure._of_failure(Estimate(0.4, 0.4, -0.3, 1.1), True) == Estimate(0.6, 0.4, 0.0, 1.0)
     bowl = lambda e: e["a"] - jnp.sum(e["u"] ** 2)  # noqa: E731
     tolerances = {"a": UNIT, "u": Tolerance.symmetric(3.0, shape=(4,))}
     for seed in range(4):
