@@ -111,7 +111,7 @@ def matches(node: ast.AST, wanted: ast.stmt) -> Iterator[ast.AST]:
 
 
 def alike(one: object, other: object) -> bool:
-    """Whether two syntax trees read the same; most differ at the root, so that this is fast."""
+    """Return True if two syntax trees have the same text. Most differ at the root, which is fast."""
     if isinstance(one, ast.AST):
         fields = (name for name in one._fields if name not in ("ctx", "kind", "type_comment"))
         return type(one) is type(other) and all(alike(getattr(one, f, None), getattr(other, f, None)) for f in fields)

@@ -1,13 +1,14 @@
 """`@record`: frozen dataclasses that are JAX pytrees and declare unit, shape and meaning of every field.
 
 Counts are static (part of the compiled program); everything else is traced. A constructor checks
-concrete numbers; tracers, nested records and records rebuilt by `jax.tree` pass unchanged,
-so that records can be stacked, vmapped and differentiated.
+concrete numbers and makes whole ones real; tracers, nested records and records rebuilt by `jax.tree` pass unchanged,
+so that records can be stacked, vmapped and differentiated. So does a record of axes, flags and None (`in_axes`).
 """
 
 import dataclasses
 import inspect
 import operator
+import sys
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, TypeVar, dataclass_transform
 
@@ -18,7 +19,7 @@ import numpy as np
 from rvjax._ground import frames
 from rvjax._ground.axes import Shape as Shape, fit, shape_text
 from rvjax._ground.choices import unknown
-from rvjax._ground.repr import brief
+from rvjax._ground.repr import brief, field_table
 
 if TYPE_CHECKING:
     from rvjax._ground.frames import DataFrame, Dataset
@@ -141,6 +142,8 @@ class Record:
         return brief(self)
 
     def __post_init__(self) -> None:
+        if _specifies(self):
+            return
         for f in dataclasses.fields(self):
             object.__setattr__(self, f.name, _checked(type(self).__name__, f, getattr(self, f.name)))
         _check_axes(self)
@@ -161,7 +164,7 @@ def record(cls: Class) -> Class:
     static = tuple(f.name for f in fields if f.metadata["kind"] in ("count", "text"))
     traced = tuple(f.name for f in fields if f.name not in static)
     if fields:
-        made.__doc__ = f"{inspect.cleandoc(cls.__doc__ or '')}\n\n{_field_table(fields)}"
+        made.__doc__ = f"{inspect.cleandoc(cls.__doc__ or '')}\n\n{field_table(fields)}"
 
     def flatten(item: object) -> tuple[tuple[PyTree, ...], tuple[object, ...]]:
         return tuple(getattr(item, n) for n in traced), tuple(getattr(item, n) for n in static)
@@ -264,14 +267,6 @@ def broadcast_fields(cls: type[Record], counts: Mapping[str, int], values: Mappi
     return filled
 
 
-def _field_table(fields: tuple[Field, ...]) -> str:
-    rows = [(f.name, f.metadata["unit"], shape_text(f.metadata.get("shape", ()))) for f in fields]
-    widths = [max(map(len, column)) for column in zip(*rows)]
-    cells = [[cell.ljust(width) for cell, width in zip(row, widths)] for row in rows]
-    lines = ["  ".join([*row, f.metadata["meaning"]]) for row, f in zip(cells, fields)]
-    return "Fields (name, unit, shape, meaning)::\n\n" + "\n".join("    " + line for line in lines)
-
-
 def _number(owner: str, f: Field, value: object) -> PyTree:
     """Python numbers become floats (NumPy scalars would promote float32 programs), sequences arrays."""
     if isinstance(value, (bool, str, bytes)):
@@ -284,13 +279,14 @@ def _number(owner: str, f: Field, value: object) -> PyTree:
             value = jnp.asarray(value) if traced else np.asarray(value)
         except (TypeError, ValueError):
             raise ValueError(f"{owner}.{f.name} = {value!r}: must be an array of numbers") from None
-    if isinstance(value, np.ndarray) and value.dtype.kind not in "fiu":
-        raise ValueError(f"{owner}.{f.name}: must hold numbers in {f.metadata['unit']}, got dtype {value.dtype}")
-    if isinstance(value, (int, float, np.generic)) or (isinstance(value, np.ndarray) and value.ndim == 0):
-        return float(value)
-    if isinstance(value, np.ndarray) and value.dtype.kind in "iu":
-        return value.astype(float)
     number: Any = value
+    kind = getattr(getattr(value, "dtype", None), "kind", "")
+    if kind == "b" or (isinstance(value, np.ndarray) and kind not in "fiu"):
+        raise ValueError(f"{owner}.{f.name}: must hold numbers in {f.metadata['unit']}, got dtype {number.dtype}")
+    if isinstance(value, (int, float, np.generic)) or (isinstance(value, np.ndarray) and value.ndim == 0):
+        return float(number)
+    if kind in ("i", "u"):  # `jax.grad` accepts no whole numbers
+        return number.astype(float)
     if not hasattr(value, "dtype") or (is_concrete(value) and np.ndim(number) == 0 and np.iscomplexobj(number)):
         raise ValueError(f"{owner}.{f.name} = {value!r}: must be a number in {f.metadata['unit']}")
     return value
@@ -312,6 +308,27 @@ def _checked(owner: str, f: Field, value: PyTree) -> PyTree:
     if is_concrete(value):
         _check_sign(owner, f, value)
     return value
+
+
+def _specifies(item: Record) -> bool:
+    """Return true for axes, flags or None in the place of numbers, as `in_axes` and masks have them.
+
+    A number that is required is None, or `dataclasses.replace` copies a record that no constructor has checked.
+    """
+    fields = [f for f in dataclasses.fields(item) if f.metadata["kind"] not in ("count", "text")]
+    if not fields or not all(_no_number(getattr(item, f.name)) for f in fields):
+        return False
+    if any(getattr(item, f.name) is None and f.default is not None for f in fields):
+        return all(isinstance(leaf, int) for leaf in jax.tree.leaves(item))
+    code = (frame := sys._getframe(3)).f_code  # beyond __post_init__ and __init__
+    source = frame.f_locals.get("obj", frame.f_locals.get("self")) if code.co_filename == dataclasses.__file__ else None
+    return type(source) is type(item) and all(_no_number(getattr(source, f.name)) for f in fields)
+
+
+def _no_number(value: PyTree) -> bool:
+    if value is None or type(value) is float or isinstance(value, jax.Array):
+        return value is None
+    return not any(isinstance(leaf, float) or hasattr(leaf, "dtype") for leaf in jax.tree.leaves(value))
 
 
 def _check_sign(owner: str, f: Field, value: Scalar) -> None:

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rvjax import assembly, compensation, designs, identify, roots, tolerances
+from rvjax import RVErrors, assembly, catalogue, compensation, designs, four_bar, identify, roots, tolerances
 from rvjax.tolerances import ReciprocalPower, Requirement, Tolerance
 from rvjax.units import um
 
@@ -108,3 +108,42 @@ def test_sequences_of_every_kind_pass():
         assert len(identify.orders(np.arange(9.0), np.arange(9.0) ** 2, kind([1.0, 2.0])).value) == 2
         with pytest.raises(ValueError, match="requirements = None: must be a requirement"):  # the values have passed
             tolerances.cost_curve(response, PARTS, None, costs=None, values=kind([1.0, 2.0]))
+
+
+LIMIT = tolerances.Requirement(upper=1.0)
+
+
+@pytest.mark.parametrize(
+    ("call", "named"),
+    [
+        (lambda: tolerances.monte_carlo(response, PARTS, LIMIT, samples=100), "requirements is"),
+        (lambda: tolerances.monte_carlo(response, PARTS, {"": LIMIT}, samples=100, seed=0), "requirements is"),
+        (lambda: tolerances.monte_carlo(response, PARTS, 100, 0), "samples and seed are"),
+        (lambda: tolerances.rss(response, PARTS, LIMIT), "requirements is"),
+        (lambda: tolerances.rss(response, PARTS, {("a", "b"): 0.5}), "correlation is"),
+        (lambda: tolerances.rss(response, PARTS, 2, LIMIT), "order is"),
+        (lambda: tolerances.allocate(response, PARTS, LIMIT, {"q": COST}), "costs is"),
+        (lambda: tolerances.cost_curve(response, PARTS, LIMIT, {"q": COST}), "costs is"),
+        (lambda: tolerances.failure_probability(response, PARTS, LIMIT, 1000, 0), "samples and seed are"),
+        (lambda: tolerances.failure_probability(response, PARTS, LIMIT, 1000, seed=0), "samples is"),
+        (lambda: tolerances.sobol_indices(response, PARTS, 1024, seed=0), "samples is"),
+        (lambda: tolerances.worst_case(response, PARTS, False), "refine is"),
+        (lambda: assembly.plan(response, {}, LIMIT), "requirement is"),
+        (lambda: four_bar.transmission_error(catalogue.RV_40E, RVErrors(), 0.3), "crank_angle is"),
+    ],
+)
+def test_an_argument_in_the_place_of_another_is_told_its_name(call, named):
+    """Before, a requirement was checked as the number of samples; Python itself tells no name."""
+    with pytest.raises(TypeError, match=rf"^\w+\.\w+: {named} keyword-only; write ") as error:
+        call()
+    assert "\n" not in str(error.value) and len(str(error.value)) < 200
+
+
+def test_an_argument_that_fits_nowhere_or_has_a_wrong_name_is_told_the_others():
+    with pytest.raises(
+        TypeError, match=r"worst_case: Requirement\(.*one too many, .* response, tolerances; .*: refine"
+    ):
+        tolerances.worst_case(response, PARTS, LIMIT)
+    with pytest.raises(TypeError, match=r"no argument 'requirement' \(did you mean requirements\?\)"):
+        tolerances.monte_carlo(response, PARTS, samples=9, seed=0, requirement=LIMIT)
+    assert tolerances.Tolerance.symmetric(1.0, distribution="uniform").distribution == "uniform"  # options of any name

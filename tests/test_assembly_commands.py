@@ -6,6 +6,7 @@ Oracles: the plan from the same parts in Python; the orders that made the curve.
 import csv
 import json
 import math
+import re
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -14,7 +15,7 @@ import pytest
 from rvjax import cli, compensation, plotting, study
 from rvjax.assembly import plan
 from rvjax.commands.assemble import Price, bench, prices
-from rvjax.commands.assemble.report import price_table
+from rvjax.commands.assemble.report import _others as others, price_table
 from rvjax.commands.compensate import corrections
 from rvjax.units import arcsec, um
 
@@ -97,6 +98,53 @@ def test_a_list_of_parts_becomes_a_list_for_the_bench(files, capsys):
     assert cli.main(["assemble", "my.toml", "parts.csv", "--format", "json"]) == 0
     again = json.loads(capsys.readouterr().out)
     assert again.pop("results") == "results/my-assembly-2" and again == result
+
+
+def cranks(change):
+    """A list of 20 cranks within 6 um of eccentricity, one of them changed, and of ten pairs of bearings."""
+    rng = np.random.default_rng(0)
+    found = rng.normal(0.0, 2.0, (20, 2)).round(1)
+    found[7] = change(found[7])
+    rows = ["kind,id,crank_eccentricity[0] [um],crank_eccentricity[1] [um],bearing_clearance [um]"]
+    rows += [f"crank,C{k},{first:g},{second:g}," for k, (first, second) in enumerate(found)]
+    return "\n".join([*rows, *(f"bearings,B{k},,,{5 + 0.5 * k:g}" for k in range(10))]) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda pair: [500.0, pair[1]], r"crank_eccentricity\[0\] = 500 um lies 76\.9 half-widths from the middle"),
+        (lambda pair: [1.2, -3.0 * 25.4], r"crank_eccentricity\[1\] = -76\.2 um lies 11\.7 half-widths"),
+        (lambda pair: [3.1 * 1000, 2.0 * 1000], r"crank_eccentricity\[0\] = 3\.1 mm lies 477 half-widths"),
+    ],
+    ids=["one", "inch", "both in mm"],
+)
+def test_a_part_in_another_unit_is_named_first_with_its_row(files, capsys, undrawn, change, said):
+    """Half-width 6.5 um: one line before the verdict, in the summary too; the other 19 say nothing."""
+    (files / "slip.csv").write_text(cranks(change))
+    assert cli.main(["assemble", "my.toml", "slip.csv", "--results", "out"]) == 0
+    lines = capsys.readouterr().out.strip().splitlines()
+    assert re.match(rf"row 9, crank C7: {said}.*; check its unit and sign$", lines[0])
+    assert lines[1].startswith("Assembly my: ")
+    assert (files / "out" / "summary.txt").read_text().startswith(lines[0])
+    assert json.loads((files / "out" / "result.json").read_text())["unusual"] == [lines[0]]
+
+
+def test_a_column_in_another_unit_names_a_few_and_a_usual_lot_none(files, monkeypatch):
+    (files / "right.csv").write_text(cranks(lambda pair: pair))
+    asked = study.load("my.toml", solve=False)
+    assert bench(asked, "right.csv").unusual == ()
+    (files / "wrong.csv").write_text((files / "right.csv").read_text().replace("[um]", "[mm]"))
+    lines = bench(asked, "wrong.csv").unusual
+    assert len(lines) >= 28 and "half-widths" in lines[0]
+    assert others(lines) == [f"{len(lines) - 5} more parts lie as far; a whole column may have the wrong unit"]
+    assert others(lines[:5]) == []
+
+
+def test_a_negative_clearance_is_refused_with_its_row(files, capsys):
+    (files / "minus.csv").write_text(PARTS.replace(",,,5", ",,,-5"))
+    line = refused(capsys, "assemble", "my.toml", "minus.csv")
+    assert line == "minus.csv: row 6, bearing_clearance = '-5': must be zero or positive, in um"
 
 
 def test_prices_with_and_without_matching_are_drawn_and_told():

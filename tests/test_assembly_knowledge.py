@@ -23,6 +23,18 @@ def test_unmeasured_parts_gain_nothing():
     assert abs(found.objective - 2.0) < 0.4 and abs(found.random.value - 2.0) < 0.4
 
 
+def test_a_share_that_every_draw_shows_has_an_interval():
+    """All 20 units good in each of 64 draws: the score interval of 64; parts that are known make no draws."""
+    a, b = np.random.default_rng(3).standard_normal((2, 20))
+    kinds = {"a": measured(a, 0 * a, 0.1), "b": measured(b, 0 * b, 0.1)}
+    found = plan(square, kinds, requirement=Requirement(upper=1e3), certificate_draws=64, draws=8)
+    for share in (found.yield_, found.random_yield):
+        assert share.value == pytest.approx(1.0) and share.upper == 1.0
+        assert share.lower == pytest.approx(64 / (64 + stats.norm.ppf(0.975) ** 2), rel=1e-6)
+    exact = plan(square, {"a": kind(a), "b": kind(b)}, requirement=Requirement(upper=1e3))
+    assert (exact.yield_.lower, exact.yield_.upper) == (1.0, 1.0)
+
+
 def test_many_parts_leave_the_error_that_the_gauge_does_not_measure():
     """Spread left as a share of random: sqrt(s^2/(s0^2 + s^2)); a hundred parts miss their match by little.
 

@@ -8,9 +8,19 @@ import numpy as np
 import pytest
 
 from rvjax import catalogue, tolerances
+from rvjax.population.distributions.empirical import Empirical
 from rvjax.population.measured import _capability
 from rvjax.population.population import Population
-from rvjax.tolerances import Tolerance, UnitFile, for_design, measured, monte_carlo
+from rvjax.tolerances import (
+    ReciprocalPower,
+    Requirement,
+    Tolerance,
+    UnitFile,
+    allocate,
+    for_design,
+    measured,
+    monte_carlo,
+)
 from rvjax.units import deg, um
 
 LOT = "Teil;pin_radius [µm];Bohrung;crank_phase [arcmin]\nA;1,0;12;3\nB;2,5;8;-1\nC;-0,5;;2\nD;4,0;10;0\nE;3,0;9;1\n"
@@ -116,10 +126,91 @@ def test_too_few_parts_tell_no_correlation(write):
         _ = found.correlation
     same = measured(write("a [um],b [um]\n1,2\n2,4\n4,8\n5,1\n"))
     assert 0 < abs(same.correlation["a", "b"]) < 1
-    flat = measured(write("a [um],b [um]\n1,2\n1,4\n1,8\n"), limits={"a": (0.0, 2 * um), "b": (0.0, 1 * um)})
-    assert flat.columns["a"].cpk.value == math.inf and flat.columns["b"].cpk.value < 0
-    with pytest.raises(ValueError, match="do not give a correlation"):
-        _ = flat.correlation
+
+
+DIAL = "a [mm],b [mm]\n0.01,0.00\n0.01,0.00\n0.02,0.00\n" + 7 * "0.01,0.00\n"
+
+
+def test_readings_that_are_equal_have_the_spread_of_a_step(write):
+    """Ten readings of a dial of 0.01 mm: sd 0.01 mm/sqrt(12), chi-square 2.700 of nine degrees, lower end 0."""
+    limits = {"a": (0.0, 20 * um), "b": (-10 * um, 10 * um)}
+    with pytest.warns(UserWarning, match="different values, in steps of 0.01 mm") as said:
+        found = measured(write(DIAL), limits=limits)
+    assert [re.search("(.): 10 readings with (.) d", str(one.message)).groups() for one in said] == [
+        ("a", "2"),
+        ("b", "1"),
+    ]
+    two, one = found.columns["a"], found.columns["b"]
+    assert (two.distinct, one.distinct) == (2, 1) and two.step == one.step == pytest.approx(10 * um)
+    assert two.sd.value == pytest.approx(10 * um / math.sqrt(10)) and two.sd.lower > 0
+    step = 10 * um / math.sqrt(12)
+    assert one.sd.value == pytest.approx(step) and one.sd.lower == 0
+    assert one.sd.upper == pytest.approx(step * math.sqrt(9 / 2.7004), rel=1e-4)
+    assert one.cpk.value == pytest.approx(10 * um / (3 * step)) and 0 < one.cpk.lower < one.cpk.upper < math.inf
+    assert one.mean.error == pytest.approx(step / math.sqrt(10))
+    np.testing.assert_allclose(found.tolerances["b"].law.values, np.arange(-4.5, 5) * um, atol=1e-18)
+    np.testing.assert_allclose(
+        found.tolerances["a"].law.values[[0, 8, 9]], np.array([10 - 40 / 9, 10 + 40 / 9, 20]) * um
+    )
+    with pytest.raises(ValueError, match=r"lot\.csv: b: 10 equal readings do not vary: no correlation"):
+        _ = found.correlation
+
+
+@pytest.mark.parametrize(
+    ("readings", "step"),
+    [
+        ("5,0;5,0;5,0;5,0", 0.1),  # the last digit, with a decimal comma
+        ("12;12;12", 1.0),
+        ("3;3.0;3", 0.1),  # the finest of them
+        ("0.005;0.005;0.005;0.010;0.005;0.005;0.005;0.005;0.005;0.005;0.005;0.005;0.005", 0.005),  # steps of five
+        ("3e-1;3e-1;3e-1", 0.1),
+    ],
+)
+def test_the_step_of_an_instrument_is_read_from_its_readings(write, readings, step):
+    with pytest.warns(UserWarning, match="in steps of"):
+        found = measured(write("a [um];b\n" + ";x\n".join(readings.split(";")) + ";x\n"))
+    assert found.columns["a"].step == pytest.approx(step * um)
+    assert found.columns["a"].sd.value == pytest.approx(step * um / math.sqrt(12))
+
+
+def test_readings_finer_than_their_spread_stay_as_they_are(write):
+    """Two parts of a fine instrument; integers that repeat, but spread over more than a step."""
+    for text, step in (("10.123\n10.456\n", 0.001), ("1\n1\n2\n3\n3\n4\n1\n5\n", 1.0)):
+        found = measured(write("a [um]\n" + text))
+        given = np.sort([float(line) for line in text.split()]) * um
+        np.testing.assert_allclose(found.tolerances["a"].law.values, given, rtol=1e-12)
+        assert found.columns["a"].sd.value == pytest.approx(given.std(ddof=1))
+        assert found.columns["a"].step == pytest.approx(step * um)
+
+
+def test_a_positive_error_is_never_spread_below_zero(write):
+    text = "bearing_clearance [mm]\n" + "0.00\n" * 6
+    with pytest.warns(UserWarning, match="bearing_clearance: 6 readings with 1 different"):
+        found = measured(write(text), design=catalogue.RV_40E).tolerances["bearing_clearance"].law.values
+    assert found.min() == 0.0 and found.max() == pytest.approx(5 / 12 * 10 * um)
+
+
+COSTS = {name: ReciprocalPower(finest=1 * um, coarsest=100 * um) for name in "ab"}
+
+
+def test_a_lot_without_spread_does_not_open_to_the_coarsest(write):
+    """Ten values 1 um apart at a half-width of 10 um: 85 % of units lie within 4.25 um, and within 30 um at 70.6 um."""
+    limits = {"a": Tolerance(0.0, 1 * um), "b": Tolerance(-10 * um, 10 * um)}
+    with pytest.warns(UserWarning, match="in steps of"):
+        lot = measured(write(DIAL), {"b": "b"}, limits=limits).tolerances
+    requirement = Requirement(lower=-30 * um, upper=30 * um, target=0.85)
+    options = dict(samples=2048, certificate_samples=20_000)
+    found = allocate(lambda e: e["b"], lot, requirement, costs={"b": COSTS["b"]}, **options)
+    assert found.status == "OPTIMAL"
+    assert found.tolerances["b"].half_width == pytest.approx(30 / 4.25 * 10 * um, rel=0.02)
+    equal = limits | {"b": Tolerance(-10 * um, 10 * um, distribution="empirical", values=[1e-7] * 10)}
+    with pytest.raises(ValueError, match="tolerances: b does not vary: empirical values that are all equal"):
+        allocate(lambda e: e["a"] + e["b"], equal, requirement, costs=COSTS, **options)
+
+
+def test_a_study_takes_equal_readings_of_a_file_as_steps(write):
+    about = {"file": str(write(DIAL)), "column": "b [mm]"}
+    np.testing.assert_allclose(Empirical.parsed("values", about, "m"), np.arange(-4.5, 5) * um, atol=1e-18)
 
 
 @pytest.mark.parametrize(

@@ -84,6 +84,88 @@ def test_tracers_and_stacked_records_pass_untouched():
     assert float(slope) == pytest.approx(40 / (64 * mm))
 
 
+NONE = jax.tree.map(lambda _: None, RV_40E), jax.tree.map(lambda _: None, RVErrors.for_design(RV_40E))
+
+
+def test_a_record_of_axes_works_as_a_dict_does():
+    """`in_axes` and `out_axes` from None, whole numbers and copies of them, also of a design within a design."""
+    errors, (none_of_design, none) = RVErrors.for_design(RV_40E), NONE
+    axes = [dataclasses.replace(none, crank_eccentricity=0), none.replace(crank_eccentricity=0)]
+    axes.append(RVErrors(**{f.name: None for f in dataclasses.fields(none)} | dict(crank_eccentricity=0)))
+    three = jnp.arange(12.0).reshape(3, 2, 2)
+    batch = jax.tree.map(lambda leaf: leaf, errors.replace(crank_eccentricity=three[0]))
+    object.__setattr__(batch, "crank_eccentricity", three)
+    for way in axes:
+        assert type(way.crank_eccentricity) is int
+        found = jax.vmap(lambda e: e.crank_eccentricity.sum() + e.bearing_clearance, in_axes=(way,))(batch)
+        np.testing.assert_array_equal(found, [6.0, 22.0, 38.0])
+    zeros = jax.tree.map(lambda _: 0, errors)  # no None: only the copied record shows what its numbers are
+    stacked = jax.tree.map(lambda leaf: jnp.stack([jnp.asarray(leaf)] * 3), errors)
+    object.__setattr__(stacked, "crank_eccentricity", three.transpose(1, 0, 2))
+    moved = dataclasses.replace(zeros, crank_eccentricity=1)
+    np.testing.assert_array_equal(jax.vmap(lambda e: e.crank_eccentricity.sum(), (moved,))(stacked), [6.0, 22.0, 38.0])
+    out = jax.vmap(lambda x: errors.replace(crank_eccentricity=x), out_axes=axes[0].replace(crank_eccentricity=2))
+    assert out(three).crank_eccentricity.shape == (2, 2, 3)
+    inner = dataclasses.replace(none_of_design.cycloid, eccentricity=0)
+    design_axes = dataclasses.replace(none_of_design, cycloid=inner)
+    sizes = jax.vmap(lambda size: RV_40E.replace(cycloid=RV_40E.cycloid.replace(eccentricity=size)), 0, design_axes)
+    assert sizes(jnp.array([1.0, 1.2]) * mm).cycloid.eccentricity.shape == (2,)
+    whole = dataclasses.replace(none_of_design, cycloid=0)  # a prefix: every number of the part
+    parts = jax.tree.map(lambda leaf: jnp.stack([jnp.asarray(leaf)] * 2), RV_40E.cycloid)
+    batch_of_designs = jax.tree.map(lambda leaf: leaf, RV_40E)
+    object.__setattr__(batch_of_designs, "cycloid", parts)
+    assert jax.vmap(lambda d: d.cycloid.pin_radius, (whole,))(batch_of_designs).shape == (2,)
+
+
+def test_a_record_of_flags_is_a_mask():
+    flags = jax.tree.map(lambda _: False, RVErrors())
+    mask = dataclasses.replace(flags, pin_radius=True)
+    chosen = jax.tree.map(lambda keep, value: value if keep else 0.0, mask, RVErrors(pin_radius=1.0, eccentricity=2.0))
+    assert (chosen.pin_radius, chosen.eccentricity) == (1.0, 0.0)
+
+
+def test_numbers_among_axes_are_checked_as_ever():
+    """One real number makes data of a record, with whole numbers beside it; text is no axis."""
+    zeros = jax.tree.map(lambda _: 0, RVErrors())
+    assert type(dataclasses.replace(zeros, pin_radius=1 * um).eccentricity) is float
+    whole = RVErrors(**dict.fromkeys((f.name for f in dataclasses.fields(zeros)), 0))  # no copy: numbers of a part
+    assert {type(leaf) for leaf in jax.tree.leaves(whole)} == {float}
+    for changes in (dict(bearing_clearance=-1.0), dict(bearing_clearance="1 um")):
+        with pytest.raises(ValueError, match=r"RVErrors\.bearing_clearance"):
+            dataclasses.replace(NONE[1], **changes)
+    with pytest.raises(ValueError, match=r"RVErrors\.bearing_clearance"):
+        RVErrors(bearing_clearance=True)
+    with pytest.raises(ValueError, match=r"CycloidStage\.eccentricity"):
+        RV_40E.cycloid.replace(eccentricity=0)
+
+
+@pytest.mark.parametrize("dtype", [jnp.int32, jnp.int64, jnp.uint8])
+@pytest.mark.parametrize("library", [np, jnp])
+def test_whole_numbers_become_real(dtype, library):
+    """Numbers, arrays and pairs, of NumPy and of JAX, traced too: each has a derivative."""
+    one, four = library.ones((), dtype), library.ones((2, 2), dtype)
+    slope = jax.grad(lambda e: e.crank_eccentricity.sum() * e.bearing_clearance)
+    of = lambda x, y: slope(RVErrors(bearing_clearance=x, crank_eccentricity=y))  # noqa: E731
+    for run in (of, jax.jit(of)):
+        found = run(one, four)
+        assert float(found.bearing_clearance) == 4.0
+        np.testing.assert_array_equal(found.crank_eccentricity, 1.0)
+    found = jax.vmap(lambda x: of(x, x))(library.arange(3, dtype=dtype))
+    np.testing.assert_array_equal(found.bearing_clearance, [0.0, 1.0, 2.0])
+    pair = rvjax.LinkDeviations(one, 0, 0, 0, joint=(one, 0)).joint
+    assert all(jnp.issubdtype(jnp.result_type(number), jnp.floating) for number in pair)
+
+
+@pytest.mark.parametrize("flag", [True, np.True_, np.array(True), jnp.array(True), jnp.ones((2, 2), bool)])
+def test_a_flag_in_the_place_of_a_number_is_named(flag):
+    name = "crank_eccentricity" if np.ndim(flag) else "bearing_clearance"
+    with pytest.raises(ValueError, match=rf"RVErrors\.{name}.* must"):
+        RVErrors(**{name: flag})
+    if isinstance(flag, jax.Array):
+        with pytest.raises(ValueError, match=rf"RVErrors\.{name}.* must"):
+            jax.jit(lambda x: RVErrors(**{name: x}))(flag)
+
+
 def test_for_design_fills_up_in_the_dtype_that_is_given():
     """float32 errors give float32 results: no default beside them is wider."""
     errors = RVErrors.for_design(RV_40E, disc_bore=np.zeros((2, 2, 2), np.float32), crank_phase=1e-3)

@@ -21,8 +21,8 @@ from rvjax.records import Record, field, record
 from rvjax.response.response import respond
 from rvjax.status import Status
 from rvjax.study.response import Response
-from rvjax.tolerances import Outcome, Requirement, Tolerance, failure_probability, for_design, monte_carlo
-from rvjax.tolerances.failure import failure
+from rvjax.tolerances import Estimate, Outcome, Requirement, Tolerance, failure_probability, for_design, monte_carlo
+from rvjax.tolerances.failure import failure, subset
 from rvjax.tolerances.failure.form import Found, slopes
 from rvjax.tolerances.failure.importance_sampling import Mixture
 from rvjax.units import um
@@ -340,3 +340,49 @@ def test_limits_far_beyond_every_unit(away):
     assert found.probability.lower <= exact <= found.probability.upper
     assert exact == 0 or abs(found.probability.value / exact - 1) < 0.2
     assert exact > 0 or (found.probability.value == 0 and "FEW_EFFECTIVE_SAMPLES" in found.status)
+
+
+NEVER = {  # no unit fails, or none passes; numbers that no double tells from 1; nothing varies
+    "even": (lambda e: e["a"], {"a": EVEN}, Requirement(upper=1.5)),
+    "always": (lambda e: e["a"], {"a": EVEN}, Requirement(upper=-0.5)),
+    "without a value": (lambda e: e["a"] * jnp.nan, {"a": UNIT}, Requirement(upper=1.0)),
+    "far": (lambda e: e["a"], {"a": UNIT}, Requirement(lower=-50.0)),
+    "far, passing": (lambda e: e["a"], {"a": UNIT}, Requirement(lower=12.0)),
+    "a constant": (lambda e: 2.0 + 0 * e["a"], {"a": UNIT}, Requirement(upper=1.0)),
+}
+
+
+@pytest.mark.parametrize("case", NEVER)
+def test_no_probability_is_known_without_an_interval(case):
+    """Both estimates; before, the second was 0 +- 0 from 0 to 0 where no unit had been found."""
+    response, tolerances, requirement = NEVER[case]
+    found = failure_probability(response, tolerances, requirement, samples=1000, seed=0)
+    for one in (found.probability, found.second):
+        assert 0 <= one.lower <= one.value <= one.upper <= 1
+        assert one.lower < one.upper and one.error > 0
+    assert found.probability.value in (0.0, 1.0)
+
+
+def test_units_that_were_never_seen_bound_the_second_estimate():
+    """A region of 1e-6 that no widening leads to: none of 1024 units, by Clopper and Pearson, and the truth within."""
+    corner = stats.norm.ppf(1 - 1e-6)
+    region = lambda z: (z[0] > corner) & (z[0] < corner + 1e-3)  # noqa: E731
+    blind = subset.Spreads(region, (1.0001,))
+    found = subset.sequential(blind, 1, np.random.default_rng(0)).probability
+    assert (found.value, found.lower) == (0.0, 0.0)
+    assert found.upper == pytest.approx(1 - 0.025 ** (1 / 1024), rel=1e-12)
+    certain = subset.sequential(subset.Spreads(lambda z: z[0] < 50.0, (1.25,)), 1, np.random.default_rng(0)).probability
+    assert certain.value == 1.0 and certain.lower < 1.0 and certain.error == pytest.approx(1 / 1024)
+
+
+def test_two_hits_leave_a_probability_within_its_range():
+    """A paraboloid and few draws: a symmetric interval of two weights ends below 0 (exact: 2.81017e-6)."""
+    below = failure._of_failure(Estimate(2.3e-7, 1.3e-7, -2.5e-8, 4.8e-7), False)
+    assert (below.lower, below.upper, below.error) == (0.0, 4.8e-7, 1.3e-7)
+    assert failure._of_failure(Estimate(0.4, 0.4, -0.3, 1.1), True) == Estimate(0.6, 0.4, 0.0, 1.0)
+    bowl = lambda e: e["a"] - jnp.sum(e["u"] ** 2)  # noqa: E731
+    tolerances = {"a": UNIT, "u": Tolerance.symmetric(3.0, shape=(4,))}
+    for seed in range(4):
+        found = failure_probability(bowl, tolerances, Requirement(upper=3.5), samples=20, seed=seed)
+        assert 0 <= found.probability.lower < found.probability.upper <= 1
+        assert 0 <= found.second.lower < 2.81017e-6 < found.second.upper

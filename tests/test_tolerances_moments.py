@@ -183,6 +183,46 @@ def test_a_kink_at_the_mean_is_sampled():
     assert widest.upper == pytest.approx(2 * math.hypot(3, 6), rel=1e-3)
 
 
+MANY = {"w": Tolerance.symmetric(30.0), "e": Tolerance.symmetric(3.0, shape=(40,))}
+above = lambda x: jnp.maximum(x, 0.0)  # noqa: E731
+TAIL = stats.norm.pdf(0.5) - 0.5 * stats.norm.sf(0.5)  # E max(e - 0.5, 0)
+# Mean and variance beyond those of w (0, 100), in closed form: of abs(e), max(e, 0), max(abs(e) - 0.5, 0), a dead band.
+KINKS = {
+    "at the mean": (lambda e: 0.09 * jnp.sum(jnp.abs(e)), 3.6 * math.sqrt(2 / math.pi), 0.324 * (1 - 2 / math.pi)),
+    "weaker": (lambda e: -0.03 * jnp.sum(jnp.abs(e)), -1.2 * math.sqrt(2 / math.pi), 0.036 * (1 - 2 / math.pi)),
+    "one side": (lambda e: 0.15 * jnp.sum(above(e)), 6 / math.sqrt(2 * math.pi), 0.9 * (0.5 - 0.5 / math.pi)),
+    "off the mean": (lambda e: 0.15 * jnp.sum(above(jnp.abs(e) - 0.5)), 12 * TAIL, 0.3),
+    "rounded": (lambda e: 0.09 * jnp.sum(jnp.hypot(e, 0.01)), 3.6 * math.sqrt(2 / math.pi), 0.12),
+}
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("kinks", KINKS)
+def test_many_weak_kinks_are_sampled(kinks, order):
+    """Each of 40 is a hundredth of the gradient; their means add up. Four errors of 16384 units, with Cpk of both."""
+    bent, mean, variance = KINKS[kinks]
+    found = rss(lambda e: e["w"] + bent(e["e"]), MANY, order=order, requirements=Requirement(lower=-30.0, upper=30.0))
+    sd = math.sqrt(100 + variance)
+    assert found.method == "sampled"
+    assert abs(found.mean - mean) < 4 * sd / 128 and found.sd == pytest.approx(sd, rel=4 / math.sqrt(2 * 16384))
+    assert found.cpk == pytest.approx((30 - abs(mean)) / (3 * sd), abs=0.025)  # of 1: 0.90 at the mean
+
+
+def test_kinks_that_leave_the_mean_alone_are_sampled_and_smooth_responses_are_not():
+    """A dead band in every error has no slope at the mean; curvature belongs to the second order, however large."""
+    quiet = MANY | {"w": Tolerance.symmetric(3.0)}
+    band = lambda e: 0.4 * jnp.sum(jnp.sign(e["e"]) * above(jnp.abs(e["e"]) - 1.0))  # noqa: E731
+    square = 2 * (2 * stats.norm.sf(1.0) - stats.norm.pdf(1.0))  # E max(abs(e) - 1, 0)^2
+    found = rss(lambda e: e["w"] + band(e), quiet)
+    assert found.method == "sampled"
+    assert found.sd == pytest.approx(math.sqrt(1 + 6.4 * square), rel=4 / math.sqrt(2 * 16384))
+    for smooth in (lambda e: e["w"] + 0.05 * jnp.sum(e["e"] ** 2), lambda e: 1e5 + 1e-4 * e["w"]):
+        assert rss(smooth, MANY).method == "first order"
+        assert rss(smooth, MANY, order=2).method == "second order"
+    faint = rss(lambda e: e["w"] + 1e-3 * jnp.sum(jnp.abs(e["e"])), MANY)  # 0.3 % of the sd: better than by chance
+    assert faint.method == "first order" and faint.sd == pytest.approx(10.0)
+
+
 def test_nothing_varies():
     fixed = {name: Tolerance(1 * um, 1 * um) for name in "abc"}
     found = rss(linear, fixed, requirements=LIMITS)

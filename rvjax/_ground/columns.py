@@ -5,14 +5,14 @@ import json
 import math
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from rvjax._ground.cells import MARKS, UNITS, Row, listed, narrow, read_cells
 from rvjax._ground.choices import unknown
-from rvjax._ground.numbers import grouping_of, has_decimal_comma, number_of
+from rvjax._ground.numbers import grouping_of, has_decimal_comma, last_digit, number_of
 from rvjax.units import recognised, spelling
 
 Units = Mapping[str, Mapping[str, float]]
@@ -34,6 +34,7 @@ class Table:
         shown: {quantity: unit that the file is written in}.
         header: names of the columns as written.
         notes: what was read from a form that is not the plain one, a sentence each.
+        digits: {quantity: one unit of the last digit that is written, SI}.
     """
 
     source: str
@@ -43,6 +44,7 @@ class Table:
     shown: dict[str, str]
     header: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    digits: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -102,7 +104,7 @@ def read_table(
             notes = [f"lines of the table that are not read: {listed(marked)}", *notes]
     else:  # words may begin with such a mark
         body = cells.body
-    numbers, texts, shown = {}, {}, {}
+    numbers, texts, shown, digits = {}, {}, {}, {}
     measured = [place.column for name, place in places.items() if name in units]
     written = [row[k].strip() for _, row in body for k in measured]
     grouping = grouping_of(source, written)
@@ -114,8 +116,11 @@ def read_table(
         else:
             values = [number_of(source, name, place.unit, *cell, comma, grouping=grouping) for cell in taken]
             numbers[name], shown[name] = np.array(values) * place.size, place.unit
+            digits[name] = last_digit([cell for _, cell in taken], comma, grouping) * place.size
     notes = [*cells.notes, *notes, *(["the file has thousands separators"] if grouping else [])]
-    return Table(source, np.array([k for k, _ in body]), numbers, texts, shown, tuple(cells.header), tuple(notes))
+    return Table(
+        source, np.array([k for k, _ in body]), numbers, texts, shown, tuple(cells.header), tuple(notes), digits
+    )
 
 
 def nearest(header: str, names: Iterable[str]) -> str | None:

@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Sequence
+from decimal import Decimal
 
 LARGEST, SMALLEST = 1e12, 1e-100  # in any unit: beyond every size of a part, below every rounding error of a zero
 _GROUPS = {
@@ -79,6 +80,19 @@ def number_of(
     if digits and abs(value) < SMALLEST:  # also one that is 0 in double precision
         raise ValueError(f"{where}: too small, must be 0 or at least {SMALLEST:g} {unit}; correct the number")
     return value
+
+
+def last_digit(cells: Sequence[str], comma: bool, grouping: str = "") -> float:
+    """Return one unit of the last digit, in the unit of cells that `number_of` has read; inf without a number.
+
+    Args:
+        cells: texts.
+        comma: whether decimals may have a comma.
+        grouping: mark that separates thousands in this file.
+    """
+    parts = [text for cell in cells if (text := _usual(cell, comma, grouping)) not in ("", "nan")]
+    tens = [Decimal(text).as_tuple().exponent for text in parts]
+    return min((10.0**place for place in tens if isinstance(place, int)), default=math.inf)
 
 
 def _usual(cell: str, comma: bool, grouping: str) -> str:

@@ -1,17 +1,31 @@
 """Records in one short line: numbers in the unit that suits them, arrays by shape and range, tracers as they are."""
 
 import dataclasses
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
 
+from rvjax._ground.axes import shape_text
 from rvjax.units import KNOWN, suited
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 _LONGEST = 60  # characters of a text or a tuple, beyond which its middle is left out
+
+
+def field_table(fields: tuple[dataclasses.Field[Any], ...]) -> str:
+    """Name, unit, shape and meaning of every field, for the docstring of a record.
+
+    Args:
+        fields: of a record.
+    """
+    rows = [(f.name, f.metadata["unit"], shape_text(f.metadata.get("shape", ()))) for f in fields]
+    widths = [max(map(len, column)) for column in zip(*rows)]
+    cells = [[cell.ljust(width) for cell, width in zip(row, widths)] for row in rows]
+    lines = ["  ".join([*row, f.metadata["meaning"]]) for row, f in zip(cells, fields)]
+    return "Fields (name, unit, shape, meaning)::\n\n" + "\n".join("    " + line for line in lines)
 
 
 def brief(record: "DataclassInstance") -> str:

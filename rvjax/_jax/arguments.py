@@ -10,6 +10,8 @@ from typing import Any, NamedTuple, ParamSpec, TypeVar
 import jax
 import numpy as np
 
+from rvjax._ground.choices import unknown
+from rvjax._jax import forked as _forked  # noqa: F401  every public function is checked here
 from rvjax.records import Array, Scalar
 
 P = ParamSpec("P")
@@ -26,6 +28,7 @@ def checked(function: Callable[P, R], of_design: Callable[[object, str], None] |
         of_design: gets its argument `design` and its name.
 
     Raises:
+        TypeError: an argument by its place that has to be named, or a name that the function does not have.
         ValueError: where a call gives something else, such as text, a complex number, or an array for a `Scalar`; it
             names the argument.
     """
@@ -38,6 +41,8 @@ def checked(function: Callable[P, R], of_design: Callable[[object, str], None] |
     known = {} if of_design else {name: p for name, p in parameters.items() if name not in kinds}
     classes = {name: found for name, p in known.items() if (found := _classes(p.annotation)) is not None}
     others = [(place, name) for place, name in enumerate(parameters) if name in classes]
+    by_place = [name for name, p in parameters.items() if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
+    takes_all = len(parameters) < len(given_by_name)
     counts = [
         (place, name, kind == int | None)
         for place, (name, kind) in enumerate((name, p.annotation) for name, p in parameters.items())
@@ -46,6 +51,8 @@ def checked(function: Callable[P, R], of_design: Callable[[object, str], None] |
 
     @functools.wraps(function)
     def call(*arguments: P.args, **named: P.kwargs) -> R:
+        if len(arguments) > len(by_place):  # before the checks, which would take it for the argument at that place
+            raise TypeError(f"{where}: {_misplaced(arguments[len(by_place)], parameters, by_place, named)}")
         if of_design is not None and place_of_design is not None:
             given = arguments[place_of_design] if place_of_design < len(arguments) else named.get("design")
             of_design(given, where)
@@ -61,9 +68,51 @@ def checked(function: Callable[P, R], of_design: Callable[[object, str], None] |
             value = arguments[place] if place < len(arguments) else named.get(name, _ABSENT)
             if value is not _ABSENT and (not isinstance(value, classes[name]) or _is_number(value)):
                 raise ValueError(f"{name} = {_short(value)}: must be {_named(classes[name])}")
+        if not takes_all and not named.keys() <= parameters.keys():
+            wrong = next(name for name in named if name not in parameters)
+            free = [name for name in parameters if name not in by_place[: len(arguments)]]
+            raise TypeError(str(unknown(f"{where}: has no argument {wrong!r}", wrong, free, "; it has")))
         return function(*arguments, **named)
 
     return call
+
+
+def _misplaced(
+    value: object, parameters: Mapping[str, inspect.Parameter], by_place: Sequence[str], named: Mapping[str, object]
+) -> str:
+    """Message that names an argument given by its place: those of its type, first those that are missing."""
+    left = {name: p for name, p in parameters.items() if name not in by_place and name not in named}
+    fitting = [name for name, p in left.items() if _fits(value, p.annotation)]
+    fitting = fitting or [name for name, p in left.items() if p.annotation in (object, Any)]
+    missing = [name for name in fitting if left[name].default is inspect.Parameter.empty]
+    names = missing or fitting
+    if not names:
+        only = ", ".join(name for name in parameters if name not in by_place)
+        more = f"; keyword-only: {only}" if only else ""
+        return f"{_short(value)} is one too many, by their places it takes {', '.join(by_place)}{more}"
+    written = " or ".join(f"{name}=..." for name in names)
+    return f"{' and '.join(names)} {'are' if names[1:] else 'is'} keyword-only; write {written} for {_short(value)}"
+
+
+def _fits(value: object, annotation: Any) -> bool:
+    """True if a value has the type that an argument declares; False where it declares none."""
+    members, optional = _members(annotation)
+    if value is None or members == {int}:
+        return optional if value is None else _is_whole(value)
+    if (kind := _kind(annotation)) is not None:
+        try:
+            _check("", value, kind)
+        except ValueError:
+            return False
+        return True
+    classes = (str,) if members == {str} else _classes(annotation)
+    if classes is None or not isinstance(value, classes):
+        return False
+    inside = [typing.get_args(member) for member in members if typing.get_origin(member) is Mapping]
+    if not inside or not isinstance(value, Mapping):
+        return True
+    plain = [typing.get_origin(kind) or kind for kind in inside[0]]
+    return all(isinstance(one, kind) for item in value.items() for one, kind in zip(item, plain) if kind is not Any)
 
 
 def _is_whole(value: object) -> bool:

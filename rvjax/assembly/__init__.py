@@ -6,7 +6,19 @@ Parts + measurement uncertainty --believed--> what is known --plan--> build list
 from rvjax.assembly.belief import believed
 from rvjax.assembly.costs import Machine as Machine, UnitResponse as UnitResponse
 from rvjax.assembly.opening import Opening, opening
+from rvjax.assembly.outliers import Outlier, UnusualPart, outliers
 from rvjax.assembly.parts import Kind, Part, known as known
 from rvjax.assembly.plan import OBJECTIVES as OBJECTIVES, Plan, draw as draw, plan, supply_of as supply_of
 
-__all__ = ["Kind", "Opening", "Part", "Plan", "believed", "opening", "plan"]
+__all__ = [
+    "Kind",
+    "Opening",
+    "Outlier",
+    "Part",
+    "Plan",
+    "UnusualPart",
+    "believed",
+    "opening",
+    "outliers",
+    "plan",
+]

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import warnings
 import zlib
 from collections.abc import Hashable, Mapping
 
@@ -13,9 +14,11 @@ from rvjax.assembly.alternation import best_so_far
 from rvjax.assembly.choice import CLOSE, EXACT, least_largest, least_sum
 from rvjax.assembly.costs import Costs, Machine, UnitResponse, costs, good
 from rvjax.assembly.on_demand import MOST_VALUED, PILOTS, OnDemand, chosen_on_demand, too_many
+from rvjax.assembly.outliers import UnusualPart, outliers
 from rvjax.assembly.parts import Kind, Known, known
 from rvjax.assembly.random_assembly import MOST_FRESH, random_assembly
 from rvjax.assembly.supply import Build, Supply
+from rvjax.population import deviate_of, score_interval
 from rvjax.tolerances import Estimate, Requirement
 
 OBJECTIVES = ("mean", "bottleneck", "yield")
@@ -120,6 +123,7 @@ def plan(
     counts |= dict(most_valued=most_valued, most_fresh=most_fresh, pilots=pilots)
     _check(kinds, objective, requirement, confidence, **counts)
     by_kind = {id(kind): known(kind, slot) for slot, kind in kinds.items()}
+    _warn(kinds)
     slots = {slot: by_kind[id(kind)] for slot, kind in kinds.items()}
     machine, supply = Machine(response, slots), supply_of(slots)
     certain = all(one.certain for one in slots.values())
@@ -169,8 +173,8 @@ def plan(
         left_over=_left_over(slots, supply, place),
         random=_estimate(random, confidence),
         gain=_estimate(random - own, confidence),
-        yield_=None if requirement is None else _estimate(share, confidence),
-        random_yield=None if requirement is None else _estimate(random_good, confidence),
+        yield_=None if requirement is None else _share(share, confidence),
+        random_yield=None if requirement is None else _share(random_good, confidence),
         failing=tuple(map(int, np.flatnonzero(failed))) if infeasible else (),
         valued=found.count,
         combinations=math.prod(machine.shape),
@@ -311,6 +315,25 @@ def _estimate(values: np.ndarray, confidence: float) -> Estimate:
         return Estimate(np.nan, np.nan, np.nan, np.nan)
     lower, upper = np.quantile(seen, [(1 - confidence) / 2, (1 + confidence) / 2])
     return Estimate(float(seen.mean()), float(seen.std()), float(lower), float(upper))
+
+
+def _warn(kinds: Mapping[str, Kind]) -> None:
+    """Name the furthest part of each kind that may have a wrong unit."""
+    for slot, kind in {id(kind): (slot, kind) for slot, kind in kinds.items()}.values():
+        if found := outliers(kind):
+            more = f" (and {len(found) - 1} more parts)" if found[1:] else ""
+            line = found[0].text(f"{slot}: part {found[0].id!r}", f"{found[0].value:.4g}")
+            warnings.warn(line + more, UnusualPart, stacklevel=4)
+
+
+def _share(values: np.ndarray, confidence: float) -> Estimate:
+    """As `_estimate`; where every draw shows the same share, the score interval of so many draws."""
+    values = np.where(values > 1 - 1e-12, 1.0, values)  # weights add up to less, or more, by rounding
+    found = _estimate(values, confidence)
+    if len(values) == 1 or found.lower != found.upper:  # one draw: all is known
+        return found
+    lower, upper = score_interval(found.value, len(values), deviate_of(confidence))
+    return dataclasses.replace(found, lower=lower, upper=upper)
 
 
 def _left_over(slots: Mapping[str, Known], supply: Supply, place: np.ndarray) -> dict[str, tuple[Hashable, ...]]:

@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 import math
 import re
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from rvjax._ground.axes import axis_sizes
 from rvjax._ground.cells import read_cells
 from rvjax._ground.choices import unknown
 from rvjax._ground.columns import name_and_unit, read_table, split
+from rvjax.population.distributions.empirical import in_steps, step_of
 from rvjax.population.estimates import Estimate, deviate_of
 from rvjax.population.tolerance import Tolerance
 from rvjax.records import Design, Metadata, PyTree
@@ -33,8 +35,11 @@ class MeasuredColumn:
     Attributes:
         unit: SI unit.
         n: parts measured.
+        distinct: different readings among them.
+        step: of the instrument: one unit of the last digit, or the least difference where readings mostly repeat.
         mean: with Student's interval.
-        sd: of the lot, divisor n - 1, with the chi-square interval.
+        sd: of the lot, divisor n - 1, with the chi-square interval; at least step/sqrt(12), the sd of rounding, with
+            the lower end of the readings themselves.
         minimum: smallest value.
         maximum: largest value.
         limits: lower and upper, None where none are given.
@@ -44,6 +49,8 @@ class MeasuredColumn:
 
     unit: str
     n: int
+    distinct: int
+    step: float
     mean: Estimate
     sd: Estimate
     minimum: float
@@ -62,6 +69,7 @@ class MeasuredParts:
         columns: statistics by field or element.
         together: parts of which all columns were measured.
         pairs: correlation of the normal scores of two columns over these parts, with Fisher's interval.
+        still: columns that do not vary over these parts.
         source: name of the file.
     """
 
@@ -69,6 +77,7 @@ class MeasuredParts:
     columns: dict[str, MeasuredColumn]
     together: int
     pairs: dict[tuple[str, str], Estimate]
+    still: tuple[str, ...]
     source: str
 
     @property
@@ -78,9 +87,15 @@ class MeasuredParts:
         A column for all elements of a field is excluded: the measured element is unknown.
 
         Raises:
-            ValueError: too few parts for so many columns, or columns that follow from each other.
+            ValueError: too few parts for so many columns, a column that does not vary, or columns that follow from each
+                other.
         """
         single = [name for name in self.columns if "[" in name or not self.tolerances[name].shape]
+        if len(single) > 1 and (still := [name for name in single if name in self.still]):
+            raise ValueError(
+                f"{self.source}: {', '.join(still)}: {self.together} equal readings do not vary: no correlation; "
+                "leave the column out (columns=), or measure with a finer step"
+            )
         found = {pair: self.pairs[pair].value for pair in itertools.combinations(single, 2)}
         matrix = np.eye(len(single))
         for (first, second), value in found.items():
@@ -98,7 +113,14 @@ class MeasuredParts:
 
         def row(name: str, found: MeasuredColumn) -> dict[str, object]:
             lower, upper = found.limits or (math.nan, math.nan)
-            said = {"error": name, "unit": found.unit, "n": found.n, "lower_limit": lower, "upper_limit": upper}
+            said = {
+                "error": name,
+                "unit": found.unit,
+                "n": found.n,
+                "distinct": found.distinct,
+                "lower_limit": lower,
+                "upper_limit": upper,
+            }
             said |= {"minimum": found.minimum, "maximum": found.maximum}
             said |= frames.spread("mean", found.mean) | frames.spread("sd", found.sd)
             nothing = Estimate(math.nan, math.nan, math.nan, math.nan)
@@ -118,7 +140,8 @@ def measured(
     """Tolerances that follow measured parts, from a CSV file with a row for each part.
 
     The limits of an error without given limits are mean -+ 3 sd. A distribution never goes beyond the values it was
-    measured at: n parts do not show what fewer than one in 2 n parts does.
+    measured at: n parts do not show what fewer than one in 2 n parts does. Where the sd of the readings is below a step
+    of the instrument, a warning names the column; equal readings then fill the step that they were rounded to.
 
     Args:
         path: the file: a header "name [unit]"; commas, semicolons or tabs, decimal commas where no comma separates; an
@@ -144,12 +167,23 @@ def measured(
     shown = {name: "turn" if unit == "count" else unit for name, unit in read.shown.items()}
     si = {name: next(si for si, own in KNOWN.items() if unit in own) for name, unit in shown.items()}
     given = _limits(limits)
-    figures = {}
+    figures, filled = {}, {}
     for name in wanted:
         values = read.numbers[name][~np.isnan(read.numbers[name])]
         if len(values) < 2:
             raise ValueError(f"{path}: {name}: {len(values)} parts measured, at least 2 are needed")
-        figures[name] = _figures(values, si[name], given.get(_field(name)), confidence)
+        step = step_of(values, read.digits[name])
+        figures[name] = found = _figures(values, step, si[name], given.get(_field(name)), confidence)
+        filled[name] = in_steps(values, step)
+        if filled[name] is not values:
+            if _is_positive(given.get(_field(name)), (about or {}).get(_field(name), {})) and values.min() >= 0:
+                filled[name] = np.maximum(filled[name], 0.0)
+            own = read.shown[name]
+            warnings.warn(
+                f"{path}: {name}: {len(values)} readings with {found.distinct} different values, in steps of "
+                f"{step / _family(name, about)[own]:.3g} {own}: their spread below a step is not known",
+                stacklevel=2,
+            )
     groups: dict[str, list[str]] = {}
     for name in wanted:
         groups.setdefault(_field(name), []).append(name)
@@ -157,11 +191,12 @@ def measured(
     for field, names in groups.items():
         if len(names) > 1 and field in names:
             raise ValueError(f"{path}: {field} has both a column and columns of elements: {', '.join(names)}")
-        pooled = np.concatenate([read.numbers[name] for name in names])
-        made[field] = _tolerance(field, names, pooled[~np.isnan(pooled)], given.get(field), design, about)
+        pooled = np.concatenate([filled[name] for name in names])
+        made[field] = _tolerance(field, names, pooled, given.get(field), design, about)
     whole = np.array([read.numbers[name] for name in wanted])
     whole = whole[:, ~np.isnan(whole).any(0)]
-    return MeasuredParts(made, figures, whole.shape[1], _pairs(list(wanted), whole, confidence), str(path))
+    still = tuple(name for name, row in zip(wanted, whole) if len(row) > 1 and not np.ptp(row))
+    return MeasuredParts(made, figures, whole.shape[1], _pairs(list(wanted), whole, confidence), still, str(path))
 
 
 def _found(path: str | Path, about: Mapping[str, Metadata] | None) -> dict[str, str]:
@@ -190,6 +225,10 @@ def _family(name: str, about: Mapping[str, Metadata] | None) -> Mapping[str, flo
     return KNOWN[about[_field(name)]["unit"]]
 
 
+def _is_positive(given: Limit | None, about: Metadata) -> bool:
+    return about.get("sign", "any") != "any" or (isinstance(given, Tolerance) and given.clearance)
+
+
 def _field(name: str) -> str:
     return name.partition("[")[0]
 
@@ -208,26 +247,27 @@ def _limits(limits: PyTree) -> dict[str, Limit]:
     return found
 
 
-def _figures(values: np.ndarray, unit: str, given: Limit | None, confidence: float) -> MeasuredColumn:
-    n, mean, sd = len(values), float(values.mean()), float(values.std(ddof=1))
+def _figures(values: np.ndarray, step: float, unit: str, given: Limit | None, confidence: float) -> MeasuredColumn:
+    n, mean, seen = len(values), float(values.mean()), float(values.std(ddof=1))
+    sd = max(seen, step / math.sqrt(12))
     tail, error = (1 - confidence) / 2, sd / math.sqrt(n)
     middle = Estimate.about(mean, error, float(special.stdtrit(n - 1, 1 - tail)))
-    ends = (sd * math.sqrt((n - 1) / float(special.chdtri(n - 1, beyond))) for beyond in (tail, 1 - tail))
+    ends = (s * math.sqrt((n - 1) / float(special.chdtri(n - 1, p))) for s, p in ((seen, tail), (sd, 1 - tail)))
     spread = Estimate(sd, sd / math.sqrt(2 * (n - 1)), *ends)
     limits = cpk = None
     if given is not None:
         low, high = (given.lower, given.upper) if isinstance(given, Tolerance) else given
         limits = float(low), float(high)
         cpk = _capability(mean, sd, n, limits, confidence)
-    return MeasuredColumn(unit, n, middle, spread, float(values.min()), float(values.max()), limits, cpk)
+    distinct = len(np.unique(values))
+    return MeasuredColumn(
+        unit, n, distinct, step, middle, spread, float(values.min()), float(values.max()), limits, cpk
+    )
 
 
 def _capability(mean: float, sd: float, n: int, limits: tuple[float, float], confidence: float) -> Estimate:
     """Cpk with the interval of Bissell (1990)."""
     room = min(limits[1] - mean, mean - limits[0])
-    if sd == 0:
-        value = math.copysign(math.inf, room)
-        return Estimate(value, 0.0, value, value)
     value = room / (3 * sd)
     error = math.sqrt(1 / (9 * n) + value**2 / (2 * (n - 1)))
     return Estimate.about(value, error, deviate_of(confidence))

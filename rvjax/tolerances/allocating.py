@@ -5,12 +5,13 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 import jax
+import numpy as np
 
 from rvjax._ground.choices import unknown
 from rvjax._ground.progress import progress_bar
 from rvjax._jax.arguments import checked
 from rvjax.population import Correlation, Population, Tolerance
-from rvjax.records import Record
+from rvjax.records import Record, is_concrete
 from rvjax.response import BLOCK, DesignResponse, Response, by_response, response_names, unwrapped
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.batch.monte_carlo import Run, Statistics
@@ -28,6 +29,7 @@ from rvjax.tolerances.optimum.variable import Middle, Variable, check_middles, w
 from rvjax.tolerances.requirements.kinds import Limits
 
 FEWEST = 100  # units a quantile can be learned from
+_STILL = 1e-9  # of the half-width: less is rounding of equal values
 KEPT = 65_536  # units of a certificate whose responses are kept, at most
 
 
@@ -234,6 +236,17 @@ def costs_by_field(costs: Any, active: Mapping[str, Tolerance], *, needed: bool 
         if name not in active:
             raise unknown(f"costs: {name!r}", name, active, " has no tolerance; these have:")
     priced = {name: given[name] for name in active if isinstance(given.get(name), Cost)}
+    for name in priced:  # no half-width would matter, and the coarsest costs least
+        one = active[name]
+        if (
+            is_concrete(one.half_width)
+            and one.half_width > 0
+            and np.all(one.moments()[1] <= (_STILL * one.half_width) ** 2)
+        ):
+            raise ValueError(
+                f"tolerances: {name} does not vary: {one.distribution} values that are all equal; measure with a "
+                "finer step, or give another distribution"
+            )
     if needed and not priced:
         raise ValueError("costs: no field has a cost, so there is nothing to allocate")
     return priced

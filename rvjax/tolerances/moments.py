@@ -30,6 +30,7 @@ from rvjax.tolerances.requirements.kinds import Limits
 _TERMS = 23  # of Hermite series
 _SEEN = 16384  # units behind mean and sd of a response with a kink
 _PROBES = 255  # units whose gradients decide whether the response has a kink, and replace it
+_WHOLE, _MEAN = 0.1, 0.03  # of the sd of the units: Cpk is wrong by a third of these at most
 _STEP = 1e-3  # of a unit's deviations: a smooth gradient is nearly constant so near the mean
 
 
@@ -45,7 +46,8 @@ class Moments:
         contributions: {field: share of the variance}, summing to 1 (all 0 if nothing varies).
         sensitivities: {field: derivative of the response per element}; its root mean square over
             units where the method is "sampled".
-        method: "first order", "second order", or "sampled" where the response has a kink at the mean.
+        method: "first order", "second order", or "sampled" where units show that slope and curvature at the mean do
+            not describe the response.
     """
 
     mean: PyTree
@@ -73,8 +75,10 @@ def rss(
     independent errors, or of normal errors with batch factors.
 
     A peak-to-peak value has a kink where its errors vanish: the gradient there does not describe its
-    neighbourhood. Where gradients of random units close to the mean show such a jump, mean and sd come
-    from 16384 units and the shares from mean squared gradients; `method` is then "sampled".
+    neighbourhood. Where gradients of 255 random units close to the mean show such a jump, or where slope and
+    curvature there miss the values of these units (by 10 % of their sd, or by 3 % of it in the mean, as many weak
+    kinks together do), mean and sd come from 16384 units and the shares from mean squared gradients; `method` is then
+    "sampled".
 
     Args:
         response: pure function of the errors of one unit; a scalar, a dict or record of scalars, or `Outcome`.
@@ -108,11 +112,12 @@ def _by_name(
     response: Response, population: Population, names: tuple[str, ...], law: "Spread", order: int
 ) -> dict[str, "_Propagated"]:
     """Moments of each response from the gradients; NaN mean and sd of a response with a kink."""
-    value, at_mean, near, far = _derivatives(response, population, law.mean, names)
+    value, at_mean, near, far, away, beyond = _derivatives(response, population, law.mean, names)
     found = {}
     for k, name in enumerate(names):
         gradient = at_mean[k]
-        if _kink(gradient, near[k], far[k], law.sd):
+        changes = beyond[k] - value[k]
+        if _kink(gradient, near[k], far[k], law.sd) or _missed(changes, gradient, near[k], away, abs(value[k])):
             found[name] = _sampled(far[k], law)
         elif order == 1:
             found[name] = _Propagated(float(value[k]), law.shares(gradient), gradient, "first order")
@@ -267,6 +272,26 @@ def _kink(gradient: np.ndarray, near: np.ndarray, far: np.ndarray, sd: np.ndarra
     return bool(seen.any() and jump[seen].mean() > 0.01 * size[seen].mean())
 
 
+def _missed(changes: np.ndarray, gradient: np.ndarray, near: np.ndarray, away: np.ndarray, size: float) -> bool:
+    """Do slope and curvature at the mean miss the changes of the response at whole units (units,)?
+
+    A jump of the gradient close to the mean is a kink there, which grows with the deviation, or curvature, which grows
+    with its square: what misses more either way counts. The first order leaves curvature out on purpose.
+    """
+    straight, jump = gradient @ away, ((near - gradient) * away.T).sum(axis=1)
+    sound = np.isfinite(changes) & np.isfinite(jump)
+    if sound.sum() < 2 or not np.isfinite(gradient).all():
+        return False
+    sd, rounding = changes[sound].std(), 8 * float(jnp.finfo(jnp.result_type(float)).eps) * size
+
+    def miss(part: np.ndarray) -> bool:
+        rest = (changes - straight - part)[sound]
+        certain = max(_MEAN * sd, 3 * rest.std() / math.sqrt(len(rest)), rounding)
+        return bool(rest.std() > max(_WHOLE * sd, rounding) or abs(rest.mean()) > certain)
+
+    return bool(np.abs(jump[sound].mean()) > _MEAN * sd) or (miss(jump) and miss(jump / (2 * _STEP)))
+
+
 def _sampled(gradients: np.ndarray, law: Spread) -> _Propagated:
     """Shares and mean squares of the gradients of whole units."""
     gradients = gradients[np.isfinite(gradients).all(axis=1)]
@@ -296,8 +321,11 @@ def _flat(response: Response, population: Population, names: tuple[str, ...]) ->
 
 def _derivatives(
     response: Response, population: Population, mean: np.ndarray, names: tuple[str, ...]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Values (k,) and gradients (k, n) at the mean; gradients (k, units, n) near it and at whole units."""
+) -> tuple[np.ndarray, ...]:
+    """Values (k,) and gradients (k, n) at the mean; gradients (k, units, n) near it and at whole units.
+
+    Then the deviations of these units (n, units) and their values (k, units).
+    """
     z = np.asarray(drawn(population, root_key(0), jnp.uint32(0), count=BLOCK))[:, :PULLED]  # shapes that are compiled
     units = np.asarray(elements(population, z))[:, :_PROBES]
     away = units - mean[:, None]
@@ -306,7 +334,8 @@ def _derivatives(
     count, cotangents = points.shape[1], np.repeat(np.eye(len(names)), points.shape[1], axis=1)
     values, found = gradients(response, population, np.tile(points, len(names)), cotangents, names)
     found = found.reshape(-1, len(names), count).transpose(1, 2, 0)
-    return values[:, 0], found[:, 0], found[:, 1 : 1 + _PROBES], found[:, 1 + _PROBES :]
+    beyond = values[:, 1 + _PROBES : count]
+    return values[:, 0], found[:, 0], found[:, 1 : 1 + _PROBES], found[:, 1 + _PROBES :], away, beyond
 
 
 @per_response(static=("names",))

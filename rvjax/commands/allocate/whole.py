@@ -282,6 +282,7 @@ def stratified(good: np.ndarray, own: np.ndarray, every: np.ndarray, *, confiden
         below, above = below + (size * (share - lower)) ** 2, above + (size * (upper - share)) ** 2
     sizes_unknown = z**2 * max(spread - value**2, 0.0) / every.shape[1]
     below, above = math.sqrt(below + sizes_unknown), math.sqrt(above + sizes_unknown)
+    value = min(1.0, value)  # the sizes may add up to more by rounding
     return Estimate(value, (below + above) / (2 * z), max(0.0, value - below), min(1.0, value + above))
 
 

@@ -4,6 +4,7 @@ Tighter tolerances or matching: which is cheaper? The cheapest tolerances for ra
 """
 
 import dataclasses
+import warnings
 
 from rvjax import assembly
 from rvjax._ground import progress
@@ -107,17 +108,19 @@ def compute(inputs: Inputs) -> Assembled:
     study, how = inputs.study, table_of(inputs.study)
     parts = bench(study, inputs.source)
     progress.begin(MATCHING)
-    plan = assembly.plan(
-        parts.response,
-        parts.kinds,
-        objective=how.objective,
-        requirement=parts.requirement,
-        draws=how.draws,
-        certificate_draws=how.certificate_draws,
-        seed=study.seed,
-        keep_best=True,
-        **(COSTLY if parts.costly else {}),
-    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", assembly.UnusualPart)  # the report names them with their rows
+        plan = assembly.plan(
+            parts.response,
+            parts.kinds,
+            objective=how.objective,
+            requirement=parts.requirement,
+            draws=how.draws,
+            certificate_draws=how.certificate_draws,
+            seed=study.seed,
+            keep_best=True,
+            **(COSTLY if parts.costly else {}),
+        )
     if plan.status == "INFEASIBLE":
         study.check_nominal()  # the message is clearer if this unit fails too
     found = Assembled(parts, plan)

@@ -13,7 +13,18 @@ from rvjax._ground.axes import axis_sizes
 from rvjax._ground.cells import MARKS, read_cells
 from rvjax._ground.choices import unknown
 from rvjax._ground.numbers import number_of
-from rvjax.assembly import Kind, Machine, Part, Plan, UnitResponse, draw, known as known_parts, supply_of
+from rvjax._ground.repr import value_text
+from rvjax.assembly import (
+    Kind,
+    Machine,
+    Part,
+    Plan,
+    UnitResponse,
+    draw,
+    known as known_parts,
+    outliers,
+    supply_of,
+)
 from rvjax.commands.assemble.inputs import Assembly
 from rvjax.designs import RVReducer
 from rvjax.mounting import carried, disc_mountings, drawing
@@ -57,6 +68,7 @@ class Bench:
         name: of the response.
         requirement: on it.
         costly: a unit is so expensive that only those are solved that can enter the plan.
+        unusual: a line for each part far beyond its limits or its lot, the furthest of each kind first.
     """
 
     response: UnitResponse
@@ -64,6 +76,7 @@ class Bench:
     name: str
     requirement: Requirement
     costly: bool = False
+    unusual: tuple[str, ...] = ()
 
 
 def bench(study: Study, path: str | Path) -> Bench:
@@ -90,10 +103,12 @@ def bench(study: Study, path: str | Path) -> Bench:
     for row in rows:
         groups.setdefault(row.cells["kind"], []).append(row)
     kinds: dict[str, Kind] = {}
+    unusual: list[str] = []
     taken: set[str] = set()
     for kind, own in groups.items():
         slots, fields = _slots(study.design, kind, path)
         made = _kind(study, path, kind, own, fields, slots)
+        unusual += _unusual(study, kind, made, own)
         for slot in slots:
             if slot in kinds:
                 raise StudyError(f"{path}: {slot} has parts of two kinds")
@@ -109,8 +124,19 @@ def bench(study: Study, path: str | Path) -> Bench:
     outcome = study.response_of(name)
     design = study.design
     return Bench(
-        lambda parts, index: outcome(unit_errors(design, parts, index)), kinds, name, requirement, outcome.costly
-    )
+        lambda parts, index: outcome(unit_errors(design, parts, index)), kinds, name, requirement, outcome.costly,
+        tuple(unusual),
+    )  # fmt: skip
+
+
+def _unusual(study: Study, kind: str, made: Kind, rows: list[Row]) -> list[str]:
+    """Lines on the parts of a kind that may have a wrong unit."""
+    places = {row.cells["id"]: row.number for row in rows}
+    lines = []
+    for one in outliers(made):
+        value = value_text(one.value, study.unit(one.name.partition("[")[0]))
+        lines.append(one.text(f"row {places[str(one.id)]}, {kind} {one.id}", value))
+    return lines
 
 
 def unit_values(found: Bench, seed: int, plan: Plan | None = None, count: int = 1024) -> np.ndarray:
@@ -211,6 +237,7 @@ def _kind(
         units[column] = unit
     if not measured:
         raise StudyError(f"{path}: parts of kind {kind!r} have no error")
+    positive = {f.name for f in dataclasses.fields(study.design.error_record) if f.metadata["sign"] != "any"}
     parts, stock = [], []
     for row in rows:
         label = row.cells["id"]
@@ -227,6 +254,8 @@ def _kind(
                     found = number_of(str(path), name, unit, at, text, row.comma, missing=False)
                     value[element] = found * size
                     sd[element] = table_of(study).sd.get(field, 0.0)
+                    if field in positive and value[element] < -4 * sd[element]:
+                        raise StudyError(f"{path}: row {at}, {name} = {text!r}: must be zero or positive, in {unit}")
             if np.isinf(sd).any() and getattr(study.tolerances, field) is None:
                 raise StudyError(
                     f"{where}: not all elements of {field} are measured, and [tolerances.{field}] is missing"

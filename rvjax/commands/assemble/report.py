@@ -42,7 +42,7 @@ def report(inputs: Inputs, found: Assembled) -> Report:
     return Report(
         title=f"{study.name}: assembly",
         content=(
-            Note("\n".join(_verdict(study, plan, parts.name))),
+            Note("\n".join([*parts.unusual[:MOST], *_others(parts.unusual), *_verdict(study, plan, parts.name)])),
             _compared(plan, *output.shown),
             Note("\n".join([f"gain of the mean: {gain.text()}", *_left(plan)])),
             *prices,
@@ -52,10 +52,20 @@ def report(inputs: Inputs, found: Assembled) -> Report:
         status=plan.status,
         ok=plan.status != "INFEASIBLE" and not plan.unsearched,
         data=about
-        | {"requirement": parts.requirement, "prices": found.prices}
+        | {"requirement": parts.requirement, "prices": found.prices, "unusual": parts.unusual}
         | {f.name: getattr(plan, f.name) for f in dataclasses.fields(plan)},
         files={"study.toml": study.text.encode(), "parts.csv": Path(inputs.source).read_bytes()},
     )
+
+
+MOST = 5
+"""Unusual parts that are named."""
+
+
+def _others(unusual: Sequence[str]) -> list[str]:
+    """Line on the parts that are not named."""
+    more = len(unusual) - MOST
+    return [f"{more} more parts lie as far; a whole column may have the wrong unit"] if more > 0 else []
 
 
 def _verdict(study: Study, plan: Plan, name: str) -> list[str]:

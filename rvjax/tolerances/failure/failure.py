@@ -161,11 +161,13 @@ def _searched(search: "_Search", random: np.random.Generator, samples: int) -> d
 
 
 def _of_failure(share: Estimate, good_is_rare: bool) -> Estimate:
-    """Probability of failure within 0 and 1, from the share of the rare event."""
+    """Probability of failure within 0 and 1, from the share of the rare event; units that show nothing bound it."""
     value, lower, upper = np.clip([share.value, share.lower, share.upper], 0.0, 1.0).tolist()
     if good_is_rare:
-        return Estimate(1 - value, share.error, 1 - upper, 1 - lower)
-    return Estimate(value, share.error, lower, upper)
+        value, lower, upper = 1 - value, 1 - upper, 1 - lower
+    if lower == upper:  # closer to 1 than numbers are
+        lower, upper = float(np.nextafter(lower, -1.0)), min(1.0, float(np.nextafter(upper, 2.0)))
+    return Estimate(value, share.error or (upper - lower) / (2 * deviate_of(0.95)), max(0.0, lower), upper)
 
 
 def _disagree(first: Estimate, second: Sequential, mixture: Mixture, typical: float) -> bool:

@@ -19,7 +19,7 @@ from typing import Protocol
 import numpy as np
 from scipy import special
 
-from rvjax.population import Estimate, rare, student
+from rvjax.population import Estimate, clopper_pearson, rare, student
 
 ISLANDS = 8
 """Independent populations: the spread of their estimates gives the error of the mean."""
@@ -48,7 +48,8 @@ class Sequential:
     """Result of subset simulation.
 
     Attributes:
-        probability: of the event; its error from the spread between the islands.
+        probability: of the event; its error from the spread between the islands. Where no unit was found, the upper
+            end is that of as many units without widening, by Clopper and Pearson.
         units: (numbers, n) units of the event, sampled (nearly) as they occur; none where none was found.
     """
 
@@ -168,7 +169,7 @@ def sequential(path: Path, numbers: int, random: np.random.Generator, confidence
     def within(z: np.ndarray, t: float) -> np.ndarray:
         return path.within(z.reshape(numbers, ISLANDS * EACH), t).reshape(ISLANDS, EACH)
 
-    z = random.standard_normal((numbers, ISLANDS, EACH))
+    first_units = z = random.standard_normal((numbers, ISLANDS, EACH))
     shares, noise, reach = np.ones(ISLANDS), 0.0, 0.5
     t, first = path.begin(z.reshape(numbers, ISLANDS * EACH))
     hit = first.reshape(ISLANDS, EACH)
@@ -192,7 +193,8 @@ def sequential(path: Path, numbers: int, random: np.random.Generator, confidence
         while hit.mean() < _LEAST and (half := path.between(wide, t)) is not None:
             t = half
             hit = within(z, t) & alive[:, None]
-    return _nothing(numbers)
+    seen = clopper_pearson(int(within(first_units, path.end).sum()), ISLANDS * EACH, confidence)
+    return Sequential(Estimate(0.0, 0.0, 0.0, seen.upper), np.zeros((numbers, 0)))
 
 
 Shape = tuple[np.ndarray, np.ndarray]
@@ -244,11 +246,6 @@ def _moved(z: np.ndarray, random: np.ndarray, reach: float, shapes: list[Shape])
     return np.concatenate(moved, axis=1)
 
 
-def _nothing(numbers: int) -> Sequential:
-    """No unit of the event."""
-    return Sequential(Estimate(0.0, 0.0, 0.0, 0.0), np.zeros((numbers, 0)))
-
-
 def together(one: Sequential, other: Sequential, random: np.random.Generator, confidence: float = 0.95) -> Sequential:
     """Both of two events that exclude each other, with units in proportion.
 
@@ -280,7 +277,10 @@ def _resampled(z: np.ndarray, hit: np.ndarray, random: np.random.Generator) -> n
 
 
 def _estimate(shares: np.ndarray, noise: float, confidence: float) -> Estimate:
-    """The mean over all islands; its error no less than were all units independent (`noise`: its square, relative)."""
+    """The mean over all islands; its error no less than were all units independent (`noise`: its square, relative).
+
+    No noise: all units of every step belonged to the event, of which one more might not.
+    """
     value, spread = float(shares.mean()), float(shares.std(ddof=1)) / math.sqrt(ISLANDS)
-    error = max(spread, value * math.sqrt(noise))
+    error = max(spread, value * (math.sqrt(noise) or 1 / (ISLANDS * EACH)))
     return rare(value, error, student(confidence, ISLANDS))
