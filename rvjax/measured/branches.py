@@ -1,17 +1,86 @@
-"""The two branches of a torque-angle loop, which a bench records in the order of time."""
+"""Midline and width of a torque-angle loop, which a bench records in the order of time."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
+from rvjax.measured.local import FEWEST, Samples, samples
+from rvjax.measured.reversals import REST, Cycle, Cycles, Path, cycles, noise_of
 from rvjax.units import arcmin
 
-CLIPPED = 0.03  # share of samples at the extreme torque, from which on a sensor has hit its end
+CLIPPED = 0.03  # share of the samples of a cycle at the extreme torque, from which on a sensor may have hit its end
 GRID = 21  # torques of the midline of a loop
+LEAST = 15  # samples of a branch
+GAP = 4.0  # standard deviations from which on a loop is open
+MOVES = 0.1  # of the speed before: an angle that goes on so fast while the torque rests is cut off, not held
+JUMP = 6.0  # times the steps of the branch: the record has been started again
+ALIKE = 2.0  # mean square of the differences of two cycles over their variance, up to which they agree
+PARTED = 0.9  # share of the width beside the end, from which on branches have parted
+SMALLEST = 1e-6 * arcmin  # standard deviation
 
 
-def branches(
-    where: str, torque: np.ndarray, angle: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, bool]:
-    """Torques of a grid, midline, width, standard deviation of the midline, and whether the sensor was saturated.
+@dataclass(frozen=True)
+class Read:
+    """A cycle as it is read.
+
+    Attributes:
+        cycle: its samples in the record.
+        up: rising branch.
+        down: falling branch.
+        gap: angle at its end less that at its start, rad; NaN where nothing tells.
+        open: the gap is more than the noise; it has been removed in proportion to the time.
+        jump: sample behind which the record has been started again; None: nowhere.
+    """
+
+    cycle: Cycle
+    up: Samples
+    down: Samples
+    gap: float
+    open: bool
+    jump: int | None
+
+
+class Branches(NamedTuple):
+    """Midline and width on a grid of torques, and how they were read.
+
+    Attributes:
+        torque: N m (n,).
+        midline: rad (n,).
+        width: falling less rising branch, rad (n,).
+        sd: of the midline, rad (n,); half of that of the width.
+        clipped: the torque sensor has hit its end.
+        reads: cycles whose mean this is, the last one first.
+        found: all cycles of the record.
+        limits: torques between which the branches have parted, N m.
+        clipped_at: torques where the sensor has hit its end, N m.
+        part: first sample of the record that was read, and the one behind the last.
+    """
+
+    torque: np.ndarray
+    midline: np.ndarray
+    width: np.ndarray
+    sd: np.ndarray
+    clipped: bool
+    reads: tuple[Read, ...]
+    found: Cycles
+    limits: tuple[float, float]
+    clipped_at: tuple[float, ...]
+    part: tuple[int, int]
+
+    @property
+    def half(self) -> float:
+        """Half-width of the samples about a torque, N m."""
+        return (self.limits[1] - self.limits[0]) / (2 * GRID)
+
+    def at(self, torque: float) -> tuple[float, float, float]:
+        """Midline, width and standard deviation of the midline at a torque of the grid's range, rad."""
+        return _mean_of(self.reads, torque, self.half)
+
+
+def branches(where: str, torque: np.ndarray, angle: np.ndarray) -> Branches:
+    """Read the last whole cycle of a loop, or the mean of the last cycles that agree.
 
     Args:
         where: of the loop, for messages.
@@ -24,35 +93,234 @@ def branches(
     span = np.ptp(torque)
     if len(torque) < 4 * GRID or span == 0:
         raise ValueError(f"{where} of {len(torque)} samples over {span:.4g} N m: needs {4 * GRID} samples, both ways")
-    window = max(1, len(torque) // 100)  # the sign of the slope, not of the noise of the sensor
-    ahead = np.clip(np.arange(len(torque)) + window, 0, len(torque) - 1)
-    behind = np.clip(np.arange(len(torque)) - window, 0, len(torque) - 1)
-    rising = torque[ahead] - torque[behind] > 0
-    inside, clipped = np.isfinite(torque), False
-    for extreme in (torque.max(), torque.min()):
-        at_end = np.abs(torque - extreme) <= 1e-3 * span
-        if at_end.mean() >= CLIPPED:
-            inside, clipped = inside & ~at_end, True
-    both = [inside & rising, inside & ~rising]
-    if min(np.sum(branch) for branch in both) < 2 * GRID:
-        raise ValueError(f"{where}: only one branch, or too few samples; the torque has to rise and to fall")
-    low = max(np.min(torque[branch]) for branch in both)
-    high = min(np.max(torque[branch]) for branch in both)
+    found, step = cycles(torque), _step(angle)
+    reads = [_read(where, cycle, torque, angle, found.noise, step) for cycle in found.used]
+    if reads and reads[0].cycle.joined and not _continues(reads[0], torque, angle, found.noise, step):
+        reads = []
+    if not reads and found.part is not None:
+        reads = [_read(where, found.part, torque, angle, found.noise, step)]
+    if not reads:
+        raise ValueError(
+            f"{where}: only one branch behind the first; the torque has to rise and to fall once more, "
+            "because the first branch is no part of a loop"
+        )
+    jump = reads[0].jump
+    if jump is None:
+        return _compared(where, reads, found, torque, angle)
+    try:
+        if not reads[0].open:
+            return _compared(where, reads, found, torque, angle)
+    except ValueError:  # too few torques are left of the branch
+        pass
+    first = 0 if 2 * jump >= len(torque) else jump + 1  # the longer part, which has one zero of the angle
+    last = jump + 1 if first == 0 else len(torque)
+    part = branches(where, torque[first:last], angle[first:last])
+    return part._replace(part=(first + part.part[0], first + part.part[1]))
+
+
+def _compared(where: str, reads: list[Read], found: Cycles, torque: np.ndarray, angle: np.ndarray) -> Branches:
+    """Mean of the last cycles that agree."""
+    last = reads[0]
+    low, high = _parted(where, last)
     half = (high - low) / (2 * GRID)
     grid = np.linspace(low + half, high - half, GRID)
-    values = np.array([[_local(where, torque[b], angle[b], t, half) for t in grid] for b in both])
-    up, down = values[0], values[1]
-    return grid, (up[:, 0] + down[:, 0]) / 2, down[:, 0] - up[:, 0], np.hypot(up[:, 1], down[:, 1]) / 2, clipped
+    for read in reads:
+        for branch in (read.up, read.down):
+            _covered(where, branch, grid, half)
+    rows = [np.array([_pair(read, t, half) for t in grid]) for read in reads]
+    count = 1
+    while count < len(rows) and _agree(rows[0], rows[count]):
+        count += 1
+    used = tuple(reads[:count])
+    midline, width, sd = np.array([_mean_of(used, t, half) for t in grid]).T
+    clipped = _clipped(last.cycle, torque, angle)
+    return Branches(grid, midline, width, sd, bool(clipped), used, found, (low, high), clipped, (0, len(torque)))
 
 
-def _local(where: str, torque: np.ndarray, angle: np.ndarray, at: float, half: float) -> tuple[float, float]:
-    """Value of a branch at one torque from a line through the samples about it, and its standard deviation."""
-    near = np.abs(torque - at) <= half
-    if np.sum(near) < 4:
-        raise ValueError(f"{where}: {np.sum(near)} samples within {half:.4g} N m of {at:.4g} N m on a branch, needs 4")
-    rows = np.stack([np.ones(int(np.sum(near))), (torque[near] - at) / half], axis=1)
-    solution, *_ = np.linalg.lstsq(rows, angle[near], rcond=None)
-    freedom = len(rows) - 2
-    spread = np.sqrt(np.sum((angle[near] - rows @ solution) ** 2) / freedom)
-    covariance = np.linalg.pinv(rows.T @ rows)
-    return float(solution[0]), float(max(spread * np.sqrt(covariance[0, 0]), 1e-6 * arcmin))
+def _pair(read: Read, at: float, half: float) -> tuple[float, float, float, float]:
+    """Midline, width, and standard deviation of the midline: noise, and what does not average out."""
+    up, down = read.up.value(at, half), read.down.value(at, half)
+    noise, bias = np.hypot(up.noise, down.noise) / 2, np.hypot(up.bias, down.bias) / 2
+    return (up.angle + down.angle) / 2, down.angle - up.angle, float(noise), float(bias)
+
+
+def _mean_of(reads: Sequence[Read], at: float, half: float) -> tuple[float, float, float]:
+    """Midline, width and standard deviation of the midline of several cycles at a torque."""
+    midline, width, noise, bias = np.array([_pair(read, at, half) for read in reads]).T
+    gap = max(abs(read.gap) / 2 if read.open else 0.0 for read in reads)  # how it has grown in a cycle is not known
+    sd = np.sqrt(np.mean(noise**2) / len(noise) + np.max(bias) ** 2 + gap**2)
+    return float(np.mean(midline)), float(np.mean(width)), max(float(sd), SMALLEST)
+
+
+def _agree(one: np.ndarray, other: np.ndarray) -> bool:
+    variance = one[:, 2] ** 2 + other[:, 2] ** 2 + SMALLEST**2
+    difference = (one[:, 0] - other[:, 0]) ** 2 + (one[:, 1] - other[:, 1]) ** 2 / 4
+    return bool(np.mean(difference / variance) / 2 <= ALIKE)
+
+
+def _read(where: str, cycle: Cycle, torque: np.ndarray, angle: np.ndarray, noise: float, step: float) -> Read:
+    """Branches of a cycle; a gap at its end is removed in proportion to the time."""
+    first, second, before = cycle.first, cycle.second, cycle.before
+    for path in (first, second):
+        if len(path.index) < LEAST:
+            count = f"{len(path.index)} samples between {path.start:.4g} and {path.end:.4g} N m"
+            raise ValueError(f"{where}: only one branch, or too few samples: {count}, needs {LEAST} on each branch")
+    passed = {path: _smooth(torque[path.index], path.rising, noise) for path in (first, second)}
+    own = {path: samples(*passed[path], angle[path.index], step) for path in passed}
+    led = None
+    if before is not None and len(before.index) >= LEAST:
+        led = samples(*_smooth(torque[before.index], before.rising, noise), angle[before.index], step)
+    gap, sure = _gap(cycle, own[first], own[second], led)
+    jump = _jump(cycle, angle)
+    opened = bool(abs(gap) > sure)
+    if opened and jump is None:
+        middle, length = (first.time[-1] + second.time[0]) / 2, cycle.span[1] - cycle.span[0]
+        for path in passed:
+            own[path] = samples(*passed[path], angle[path.index] - gap * (path.time - middle) / length, step)
+    read = Read(cycle, own[cycle.rising], own[cycle.falling], gap, opened, jump)
+    return read if jump is None else _without(read, jump, torque[jump], _torque_width(read))
+
+
+def _smooth(torque: np.ndarray, rising: bool, noise: float) -> tuple[np.ndarray, float]:
+    """Torque of a branch without its noise, and the noise; as it is where it rises or falls all the way."""
+    steps = np.diff(torque) * (1 if rising else -1)
+    if np.all(steps >= -1e-9 * np.ptp(torque)):
+        return torque, 0.0
+    from scipy import signal  # slow to import
+
+    half = np.ptp(torque) / (2 * GRID)
+    window = max(FEWEST, len(torque) // (2 * GRID), int(9 * (noise / half) ** 2))  # noise of half a step of the grid
+    window = min(window, len(torque) // 3) // 2 * 2 + 1
+    return signal.savgol_filter(torque, window, 2, mode="interp"), noise
+
+
+def _step(angle: np.ndarray) -> float:
+    """Step of the reading of the angle, rad."""
+    steps = np.diff(np.unique(angle))
+    steps = steps[steps > 1e-9 * np.ptp(angle)]
+    return float(steps.min()) if len(steps) else 0.0
+
+
+def _half(given: Samples) -> float:
+    return float(np.ptp(given.torque)) / (2 * GRID)
+
+
+def _gap(cycle: Cycle, first: Samples, second: Samples, led: Samples | None) -> tuple[float, float]:
+    """Angle at the end of a cycle less that at its start, and the size from which on it is none of noise."""
+    if not cycle.whole:
+        return np.nan, 0.0
+    rising = cycle.second.rising
+    if led is not None:  # both branches lead to the same reversal, at the same torque
+        ends = [(one.torque[-1] if rising else one.torque[0]) for one in (led, second)]
+        starts, at = led, float(min(ends) if rising else max(ends))
+        slack = 0.0
+    else:
+        starts, at = first, float(first.torque[-1] if rising else first.torque[0])
+        near = second.torque[-2:] if rising else second.torque[:2]
+        slope = np.ptp(second.angle[-5:] if rising else second.angle[:5]) / np.ptp(
+            second.torque[-5:] if rising else second.torque[:5]
+        )
+        slack = 2 * slope * float(np.ptp(near))  # the reversal lies between two samples
+    start, end = starts.value(at, _half(starts)), second.value(at, _half(second))
+    own = np.hypot(np.hypot(start.noise, end.noise), np.hypot(start.bias, end.bias))
+    return end.angle - start.angle, float(GAP * own + slack)
+
+
+def _jump(cycle: Cycle, angle: np.ndarray) -> int | None:
+    """Sample behind which the angle jumps on one branch and not on the other, where backlash would jump as well."""
+    steps = [np.abs(np.diff(angle[path.index])) for path in (cycle.first, cycle.second)]
+    for path, own, other in zip((cycle.first, cycle.second), steps, steps[::-1]):
+        place = int(np.argmax(own))
+        usual = max(JUMP * float(np.quantile(own, 0.9)), 8 * noise_of(angle[path.index]))
+        if not cycle.joined and own[place] > usual and np.max(other) < own[place] / 2:
+            return int(path.index[place])
+    return None
+
+
+def _torque_width(read: Read) -> float:
+    """Torque on the rising branch less that on the falling one at the same angle, N m: twice the friction."""
+    low = max(read.up.torque[0], read.down.torque[0])
+    high = min(read.up.torque[-1], read.down.torque[-1])
+    grid = np.linspace(low, high, 4 * GRID)
+    half = (high - low) / (4 * GRID)
+    up, down = (np.array([one.value(t, half).angle for t in grid]) for one in (read.up, read.down))
+    if np.mean(up[GRID * 2 :]) < np.mean(up[: GRID * 2]):
+        up, down = -up, -down
+    up, down = np.maximum.accumulate(up), np.maximum.accumulate(down)
+    angles = np.linspace(max(up[0], down[0]), min(up[-1], down[-1]), 4 * GRID)[GRID // 2 : -GRID // 2]
+    return float(np.median(np.interp(angles, up, grid) - np.interp(angles, down, grid)))
+
+
+def _without(read: Read, jump: int, torque: float, width: float) -> Read:
+    """A cycle without the torques behind a restart: friction takes up to its whole width to come back to the branch."""
+    rising = jump in read.cycle.rising.index
+    name, given = ("up", read.up) if rising else ("down", read.down)
+    beyond = (given.torque - torque) * (1 if rising else -1)
+    kept = (beyond <= 0) | (beyond > width)
+    part = {key: getattr(given, key)[kept] for key in ("torque", "angle", "weight")}
+    return replace(read, **{name: replace(given, **part)})
+
+
+def _continues(read: Read, torque: np.ndarray, angle: np.ndarray, noise: float, step: float) -> bool:
+    """Whether the end of the record goes on at its start: a first branch would start beside the loop."""
+    second = read.cycle.second
+    parts = [second.index[second.time >= len(torque)], second.index[second.time < len(torque)]]
+    if min(len(part) for part in parts) < FEWEST + 2:
+        return False
+    head, tail = (samples(*_smooth(torque[part], second.rising, noise), angle[part], step) for part in parts)
+    at = (torque[parts[0][0]] + torque[parts[1][-1]]) / 2
+    start, end = head.value(at, _half(head)), tail.value(at, _half(tail))
+    other = (read.up if read.cycle.first.rising else read.down).value(at, _half(tail))
+    own = GAP * np.hypot(np.hypot(start.noise, end.noise), np.hypot(start.bias, end.bias))
+    return bool(abs(start.angle - end.angle) <= max(own, ALIKE / 20 * abs(other.angle - end.angle)))
+
+
+def _parted(where: str, read: Read) -> tuple[float, float]:
+    """Torques between which the branches have parted: friction has to reverse first."""
+    low = max(read.up.torque[0], read.down.torque[0])
+    high = min(read.up.torque[-1], read.down.torque[-1])
+    if not high > low:
+        raise ValueError(f"{where}: only one branch at each torque; the torque has to rise and to fall")
+    reach = _torque_width(read)
+    if not (high - low) / GRID < reach < (high - low) / 3:
+        return float(low), float(high)
+    half, limits = (high - low) / (4 * GRID), [float(low), float(high)]
+    for side, (end, inward) in enumerate(((low, 1.0), (high, -1.0))):
+        _, full, *_ = _pair(read, end + inward * 1.2 * reach, half)
+        for share in np.arange(0.95, 0.0, -0.1):
+            _, width, noise, bias = _pair(read, end + inward * share * reach, half)
+            if abs(width) < PARTED * abs(full) - 4 * np.hypot(noise, bias):
+                limits[side] = float(end + inward * min(1.0, share + 0.15) * reach)
+                break
+    return limits[0], limits[1]
+
+
+def _covered(where: str, branch: Samples, grid: np.ndarray, half: float) -> None:
+    """Raise an error where a branch has a gap in its torques."""
+    for t in grid:
+        near = branch.torque[branch.near(t, half)]
+        if near[-1] - near[0] > 8 * half or not near[0] - half <= t <= near[-1] + half:
+            count = int(np.sum(np.abs(branch.torque - t) <= half))
+            raise ValueError(f"{where}: {count} samples within {half:.4g} N m of {t:.4g} N m on a branch, needs 4")
+
+
+def _clipped(cycle: Cycle, torque: np.ndarray, angle: np.ndarray) -> tuple[float, ...]:
+    """Torques where the sensor has hit its end: the angle goes on while the torque rests, N m."""
+    found = []
+    paths = (cycle.before, cycle.first, cycle.second)
+    length = cycle.span[1] - cycle.span[0]
+    for path, (first, last) in zip(paths, cycle.rests):
+        rest = torque[first : last + 1]
+        if path is None or len(path.index) < LEAST or not len(rest):
+            continue
+        extreme = rest.max() if path.rising else rest.min()
+        held = np.flatnonzero(np.abs(rest - extreme) <= REST * np.ptp(torque)) + first
+        if len(held) < CLIPPED * length:
+            continue
+        back = path.index[-max(3, len(path.index) // 20) :]
+        speed = (angle[back[-1]] - angle[back[0]]) / (len(back) - 1)
+        third = len(held) // 3
+        moved = np.mean(angle[held[third : len(held) - third]]) - angle[back[-1]]
+        if speed != 0 and moved / speed > MOVES * len(held):
+            found.append(float(extreme))
+    return tuple(dict.fromkeys(found))

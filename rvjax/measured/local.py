@@ -1,0 +1,120 @@
+"""Angle of a branch at any torque: parabolas through the samples about it, as wide as its curvature allows."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+FEWEST = 5  # torques of a parabola
+LEVELS = 7  # widths, each half the one before
+AGREE = 2.5  # standard deviations within which parabolas of different width agree
+CHI = 0.839  # median of chi square of four degrees of freedom, over four
+
+
+@dataclass(frozen=True)
+class Value:
+    """Angle of a branch at one torque.
+
+    Attributes:
+        angle: rad.
+        noise: its standard deviation from the spread of the samples, rad.
+        bias: what curvature within the samples may add, rad.
+    """
+
+    angle: float
+    noise: float
+    bias: float
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Samples of a branch by ascending torque; equal torques are one sample with a weight.
+
+    Attributes:
+        torque: N m (m,).
+        angle: mean, rad (m,).
+        weight: samples of this torque (m,).
+        blur: noise of the torque that the spread of the angles does not contain, N m.
+        step: of the reading of the angle, rad.
+        spread: standard deviation of a sample about the branch, rad.
+    """
+
+    torque: np.ndarray
+    angle: np.ndarray
+    weight: np.ndarray
+    blur: float
+    step: float
+    spread: float
+
+    def near(self, at: float, half: float) -> slice:
+        """Samples within a distance of a torque, at least the nearest `FEWEST`."""
+        low, high = np.searchsorted(self.torque, [at - half, at + half], side="left")
+        high += high < len(self.torque) and self.torque[high] <= at + half
+        if high - low < FEWEST:
+            low = int(np.clip(np.searchsorted(self.torque, at) - FEWEST // 2, 0, len(self.torque) - FEWEST))
+            while low > 0 and at - self.torque[low - 1] < self.torque[low + FEWEST - 1] - at:
+                low -= 1
+            while low + FEWEST < len(self.torque) and self.torque[low + FEWEST] - at < at - self.torque[low]:
+                low += 1
+            high = low + FEWEST
+        return slice(int(low), int(high))
+
+    def value(self, at: float, half: float) -> Value:
+        """Angle at a torque from the widest parabola that agrees with all narrower ones, taken one step narrower.
+
+        Args:
+            at: torque, N m.
+            half: half-width of the widest samples that are taken, N m.
+        """
+        parts = [self.near(at, 2.0 ** (1 - level) * half) for level in range(LEVELS)][::-1]
+        places = [part for k, part in enumerate(parts) if k == 0 or part != parts[k - 1]]
+        fits = [_parabola(self, part, at) for part in places]
+        sds = [np.sqrt(fit[1] * (self.spread**2 + (fit[2] * self.blur) ** 2)) for fit in fits]
+        widest = 0
+        for k in range(1, len(fits)):
+            if any(abs(fits[k][0] - fits[j][0]) > AGREE * sds[j] for j in range(k)):
+                break
+            widest = k
+        taken = max(0, widest - 1)
+        angle, share, slope, spread = fits[taken]
+        part = places[taken]
+        noise = share * (max(self.spread, spread) ** 2 + (slope * self.blur) ** 2)
+        stuck = np.ptp(self.angle[part]) <= 1.5 * self.step  # one step of the reading: its error does not average out
+        noise += self.step**2 / 12 if stuck else 0.0
+        bias = abs(fits[1][0] - angle) / 2 if widest == 0 and len(fits) > 1 else 0.0
+        return Value(float(angle), float(np.sqrt(noise)), float(bias))
+
+
+def samples(torque: np.ndarray, blur: float, angle: np.ndarray, step: float) -> Samples:
+    """Samples of a branch.
+
+    Args:
+        torque: without noise, N m (n,).
+        blur: noise of the torque that has been removed, N m.
+        angle: rad (n,).
+        step: of the reading of the angle, rad.
+    """
+    distinct, place, weight = np.unique(torque, return_inverse=True, return_counts=True)
+    mean = np.bincount(place, angle) / weight
+    made = Samples(distinct, mean, weight.astype(float), blur, step, 0.0)
+    if len(distinct) < FEWEST + 2:
+        return made
+    squares = []
+    for at in np.linspace(distinct[0], distinct[-1], 43)[1:-1]:
+        low = int(np.clip(np.searchsorted(distinct, at) - 3, 0, len(distinct) - 7))
+        squares.append(_parabola(made, slice(low, low + 7), at)[3] ** 2)
+    spread = np.sqrt(np.median(squares) / CHI + step**2 / 12)
+    return Samples(distinct, mean, weight.astype(float), blur, step, float(spread))
+
+
+def _parabola(given: Samples, part: slice, at: float) -> tuple[float, float, float, float]:
+    """Value at a torque, its variance over that of a sample, slope, and spread of the samples about the parabola."""
+    offset = given.torque[part] - at
+    scale = np.max(np.abs(offset)) or 1.0
+    rows = np.stack([np.ones_like(offset), offset / scale, (offset / scale) ** 2], axis=1)
+    root = np.sqrt(given.weight[part])
+    covariance = np.linalg.pinv((rows * root[:, None] ** 2).T @ rows)
+    solution = covariance @ (rows.T @ (root**2 * given.angle[part]))
+    left = root * (given.angle[part] - rows @ solution)
+    freedom = len(offset) - 3
+    spread = np.sqrt(np.sum(left**2) / freedom) if freedom > 0 else 0.0
+    return float(solution[0]), float(covariance[0, 0]), float(solution[1] / scale), float(spread)
