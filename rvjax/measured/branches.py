@@ -30,7 +30,8 @@ class Read:
         up: rising branch.
         down: falling branch.
         gap: angle at its end less that at its start, rad; NaN where nothing tells.
-        open: the gap is more than the noise; it has been removed in proportion to the time.
+        sure: gap that noise does not cause, rad.
+        open: the gap is larger; it has been removed in proportion to the time.
         jump: sample behind which the record has been started again; None: nowhere.
     """
 
@@ -38,6 +39,7 @@ class Read:
     up: Samples
     down: Samples
     gap: float
+    sure: float
     open: bool
     jump: int | None
 
@@ -73,6 +75,10 @@ class Branches(NamedTuple):
     def half(self) -> float:
         """Half-width of the samples about a torque, N m."""
         return (self.limits[1] - self.limits[0]) / (2 * GRID)
+
+    def reaches(self, torque: float) -> bool:
+        """Whether both branches have samples on either side of a torque, N m."""
+        return all(_held(read, torque, self.half) for read in self.reads)
 
     def at(self, torque: float) -> tuple[float, float, float]:
         """Midline, width and standard deviation of the midline at a torque of the grid's range, rad."""
@@ -124,6 +130,8 @@ def _compared(where: str, reads: list[Read], found: Cycles, torque: np.ndarray, 
     low, high = _parted(where, last)
     half = (high - low) / (2 * GRID)
     grid = np.linspace(low + half, high - half, GRID)
+    if last.jump is not None:
+        grid = np.array([t for t in grid if all(_held(read, t, half) for read in reads)])
     for read in reads:
         for branch in (read.up, read.down):
             _covered(where, branch, grid, half)
@@ -177,7 +185,7 @@ def _read(where: str, cycle: Cycle, torque: np.ndarray, angle: np.ndarray, noise
         middle, length = (first.time[-1] + second.time[0]) / 2, cycle.span[1] - cycle.span[0]
         for path in passed:
             own[path] = samples(*passed[path], angle[path.index] - gap * (path.time - middle) / length, step)
-    read = Read(cycle, own[cycle.rising], own[cycle.falling], gap, opened, jump)
+    read = Read(cycle, own[cycle.rising], own[cycle.falling], gap, sure, opened, jump)
     return read if jump is None else _without(read, jump, torque[jump], _torque_width(read))
 
 
@@ -190,7 +198,7 @@ def _smooth(torque: np.ndarray, rising: bool, noise: float) -> tuple[np.ndarray,
 
     half = np.ptp(torque) / (2 * GRID)
     window = max(FEWEST, len(torque) // (2 * GRID), int(9 * (noise / half) ** 2))  # noise of half a step of the grid
-    window = min(window, len(torque) // 3) // 2 * 2 + 1
+    window = min(window, len(torque) * 2 // 3) // 2 * 2 + 1
     return signal.savgol_filter(torque, window, 2, mode="interp"), noise
 
 
@@ -271,8 +279,11 @@ def _continues(read: Read, torque: np.ndarray, angle: np.ndarray, noise: float, 
     at = (torque[parts[0][0]] + torque[parts[1][-1]]) / 2
     start, end = head.value(at, _half(head)), tail.value(at, _half(tail))
     other = (read.up if read.cycle.first.rising else read.down).value(at, _half(tail))
-    own = GAP * np.hypot(np.hypot(start.noise, end.noise), np.hypot(start.bias, end.bias))
-    return bool(abs(start.angle - end.angle) <= max(own, ALIKE / 20 * abs(other.angle - end.angle)))
+    own = np.hypot(np.hypot(start.noise, end.noise), np.hypot(start.bias, end.bias))
+    gap, width = abs(start.angle - end.angle), abs(other.angle - end.angle)
+    closed = width <= GAP * own and own <= np.ptp(angle) / 100  # no friction
+    told = closed or GAP * own <= width / 2  # a first branch starts half a width beside
+    return bool(told and gap <= max(3 * own, width / 10))
 
 
 def _parted(where: str, read: Read) -> tuple[float, float]:
@@ -295,8 +306,21 @@ def _parted(where: str, read: Read) -> tuple[float, float]:
     return limits[0], limits[1]
 
 
+def _held(read: Read, at: float, half: float) -> bool:
+    """Whether a torque lies between samples of both branches; a little beyond the last one counts."""
+    for branch in (read.up, read.down):
+        steps, place = np.diff(branch.torque), int(np.searchsorted(branch.torque, at))
+        least = max(half / 2, 3 * float(np.median(steps)))
+        beside = branch.torque[max(place - 1, 0) : place + 1]
+        between = 0 < place < len(branch.torque) and np.ptp(beside) <= least
+        if not between and np.min(np.abs(beside - at)) > least / 2:
+            return False
+    return True
+
+
 def _covered(where: str, branch: Samples, grid: np.ndarray, half: float) -> None:
     """Raise an error where a branch has a gap in its torques."""
+    half = max(half, branch.blur)
     for t in grid:
         near = branch.torque[branch.near(t, half)]
         if near[-1] - near[0] > 8 * half or not near[0] - half <= t <= near[-1] + half:

@@ -110,7 +110,8 @@ def _gap(found: Branches) -> Iterator[Finding]:
     if not np.isfinite(read.gap):
         return
     if not read.open:
-        yield Finding("closure gap", read.gap, "rad", "the cycle closes within its noise")
+        text = f"none is seen: noise alone reaches {read.sure / arcmin:.2g} arcmin"
+        yield Finding("closure gap", read.gap, "rad", text)
         return
     text = (
         f"the cycle ends {read.gap / arcmin:.3g} arcmin from its start (creep, a drift, a loose clamp); removed in "
@@ -121,12 +122,13 @@ def _gap(found: Branches) -> Iterator[Finding]:
 
 def _values(found: Branches, low: float, high: float, torque: np.ndarray, angle: np.ndarray) -> Iterator[Finding]:
     """Width, lost motion, stiffness and energy, as far as the loop determines them."""
-    slack, two = found.half / 2, not _one_sided(low, high)
-    if two and found.limits[0] - slack <= 0 <= found.limits[1] + slack:
+    two = not _one_sided(low, high)
+    inside = (found.limits[0] - found.half / 2, found.limits[1] + found.half / 2)
+    if two and inside[0] <= 0 <= inside[1] and found.reaches(0.0):
         _, width, sd = found.at(0.0)
         yield Finding("width at zero torque", width, "rad", f"+-{2 * sd / arcmin:.2g} arcmin")
     at = THRESHOLD * min(high, -low)
-    if two and found.limits[0] <= -at and at <= found.limits[1]:
+    if two and inside[0] <= -at and at <= inside[1] and found.reaches(at) and found.reaches(-at):
         (upper, _, own), (lower, _, other) = found.at(at), found.at(-at)
         gap = max(abs(read.gap) / 2 if read.open else 0.0 for read in found.reads)  # moves both points alike
         sd = np.sqrt(max(own**2 - gap**2, 0.0) + max(other**2 - gap**2, 0.0))

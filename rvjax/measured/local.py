@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 FEWEST = 5  # torques of a parabola
-LEVELS = 7  # widths, each half the one before
+LEVELS = 8  # widths, each half the one before
 AGREE = 2.5  # standard deviations within which parabolas of different width agree
 CHI = 0.839  # median of chi square of four degrees of freedom, over four
 
@@ -63,9 +63,9 @@ class Samples:
 
         Args:
             at: torque, N m.
-            half: half-width of the widest samples that are taken, N m.
+            half: half of the distance to the next torque that is read, N m; samples within twice it are taken.
         """
-        parts = [self.near(at, 2.0 ** (1 - level) * half) for level in range(LEVELS)][::-1]
+        parts = [self.near(at, 2.0 ** (2 - level) * half) for level in range(LEVELS)][::-1]
         places = [part for k, part in enumerate(parts) if k == 0 or part != parts[k - 1]]
         fits = [_parabola(self, part, at) for part in places]
         sds = [np.sqrt(fit[1] * (self.spread**2 + (fit[2] * self.blur) ** 2)) for fit in fits]
