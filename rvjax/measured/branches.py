@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rvjax.measured.local import FEWEST, Samples, samples
-from rvjax.measured.reversals import REST, Cycle, Cycles, Path, cycles, noise_of
+from rvjax.measured.reversals import REST, Cycle, Cycles, cycles, noise_of
 from rvjax.units import arcmin
 
 CLIPPED = 0.03  # share of the samples of a cycle at the extreme torque, from which on a sensor may have hit its end
@@ -17,6 +17,7 @@ GAP = 4.0  # standard deviations from which on a loop is open
 MOVES = 0.1  # of the speed before: an angle that goes on so fast while the torque rests is cut off, not held
 JUMP = 6.0  # times the steps of the branch: the record has been started again
 ALIKE = 2.0  # mean square of the differences of two cycles over their variance, up to which they agree
+WIDEST = 0.4  # share of the torques from which on friction leaves none where the branches have parted
 PARTED = 0.9  # share of the width beside the end, from which on branches have parted
 SMALLEST = 1e-6 * arcmin  # standard deviation
 
@@ -56,6 +57,7 @@ class Branches(NamedTuple):
         reads: cycles whose mean this is, the last one first.
         found: all cycles of the record.
         limits: torques between which the branches have parted, N m.
+        reach: torque on the rising branch less that on the falling one at the same angle, N m.
         clipped_at: torques where the sensor has hit its end, N m.
         part: first sample of the record that was read, and the one behind the last.
     """
@@ -68,6 +70,7 @@ class Branches(NamedTuple):
     reads: tuple[Read, ...]
     found: Cycles
     limits: tuple[float, float]
+    reach: float
     clipped_at: tuple[float, ...]
     part: tuple[int, int]
 
@@ -127,7 +130,7 @@ def branches(where: str, torque: np.ndarray, angle: np.ndarray) -> Branches:
 def _compared(where: str, reads: list[Read], found: Cycles, torque: np.ndarray, angle: np.ndarray) -> Branches:
     """Mean of the last cycles that agree."""
     last = reads[0]
-    low, high = _parted(where, last)
+    low, high, reach = _parted(where, last)
     half = (high - low) / (2 * GRID)
     grid = np.linspace(low + half, high - half, GRID)
     if last.jump is not None:
@@ -142,7 +145,7 @@ def _compared(where: str, reads: list[Read], found: Cycles, torque: np.ndarray, 
     used = tuple(reads[:count])
     midline, width, sd = np.array([_mean_of(used, t, half) for t in grid]).T
     clipped = _clipped(last.cycle, torque, angle)
-    return Branches(grid, midline, width, sd, bool(clipped), used, found, (low, high), clipped, (0, len(torque)))
+    return Branches(grid, midline, width, sd, bool(clipped), used, found, (low, high), reach, clipped, (0, len(torque)))
 
 
 def _pair(read: Read, at: float, half: float) -> tuple[float, float, float, float]:
@@ -262,11 +265,11 @@ def _torque_width(read: Read) -> float:
 def _without(read: Read, jump: int, torque: float, width: float) -> Read:
     """A cycle without the torques behind a restart: friction takes up to its whole width to come back to the branch."""
     rising = jump in read.cycle.rising.index
-    name, given = ("up", read.up) if rising else ("down", read.down)
+    given = read.up if rising else read.down
     beyond = (given.torque - torque) * (1 if rising else -1)
     kept = (beyond <= 0) | (beyond > width)
-    part = {key: getattr(given, key)[kept] for key in ("torque", "angle", "weight")}
-    return replace(read, **{name: replace(given, **part)})
+    rest = replace(given, torque=given.torque[kept], angle=given.angle[kept], weight=given.weight[kept])
+    return replace(read, up=rest) if rising else replace(read, down=rest)
 
 
 def _continues(read: Read, torque: np.ndarray, angle: np.ndarray, noise: float, step: float) -> bool:
@@ -286,15 +289,15 @@ def _continues(read: Read, torque: np.ndarray, angle: np.ndarray, noise: float, 
     return bool(told and gap <= max(3 * own, width / 10))
 
 
-def _parted(where: str, read: Read) -> tuple[float, float]:
-    """Torques between which the branches have parted: friction has to reverse first."""
+def _parted(where: str, read: Read) -> tuple[float, float, float]:
+    """Torques between which the branches have parted, because friction has to reverse first; its width in torque."""
     low = max(read.up.torque[0], read.down.torque[0])
     high = min(read.up.torque[-1], read.down.torque[-1])
     if not high > low:
         raise ValueError(f"{where}: only one branch at each torque; the torque has to rise and to fall")
     reach = _torque_width(read)
-    if not (high - low) / GRID < reach < (high - low) / 3:
-        return float(low), float(high)
+    if not (high - low) / (2 * GRID) < reach < WIDEST * (high - low):
+        return float(low), float(high), reach
     half, limits = (high - low) / (4 * GRID), [float(low), float(high)]
     for side, (end, inward) in enumerate(((low, 1.0), (high, -1.0))):
         _, full, *_ = _pair(read, end + inward * 1.2 * reach, half)
@@ -303,7 +306,7 @@ def _parted(where: str, read: Read) -> tuple[float, float]:
             if abs(width) < PARTED * abs(full) - 4 * np.hypot(noise, bias):
                 limits[side] = float(end + inward * min(1.0, share + 0.15) * reach)
                 break
-    return limits[0], limits[1]
+    return limits[0], limits[1], reach
 
 
 def _held(read: Read, at: float, half: float) -> bool:

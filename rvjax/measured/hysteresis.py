@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from rvjax.measured.branches import Branches, Read
+from rvjax.measured.branches import WIDEST, Branches, Read
 from rvjax.measured.kind import Finding
 from rvjax.measured.reversals import Path
 from rvjax.units import arcmin
@@ -96,6 +96,9 @@ def _limits(found: Branches, low: float, high: float) -> Iterator[Finding]:
         yield Finding("one-sided loop", np.nan, "", text, warning=True)
     ends = found.limits
     inside = max(high - ends[1], ends[0] - low)
+    if found.reach >= WIDEST * (ends[1] - ends[0]):
+        text = f"friction takes {found.reach:.4g} N m to reverse: the branches have parted at few torques or none"
+        yield Finding("friction", found.reach, "N m", text, warning=True)
     if inside > found.half and found.reads[0].cycle.whole:
         text = f"from a reversal to where the branches have parted; read from {ends[0]:.4g} to {ends[1]:.4g} N m"
         yield Finding("reversal of the friction", inside, "N m", text)
