@@ -85,7 +85,9 @@ class Branches(NamedTuple):
 
     def at(self, torque: float) -> tuple[float, float, float]:
         """Midline, width and standard deviation of the midline at a torque of the grid's range, rad."""
-        return _mean_of(self.reads, torque, self.half)
+        rows = np.array([[_pair(read, torque, self.half)] for read in self.reads])
+        midline, width, sd = _mean_of(self.reads, rows)
+        return float(midline[0]), float(width[0]), float(sd[0])
 
 
 def branches(where: str, torque: np.ndarray, angle: np.ndarray) -> Branches:
@@ -143,7 +145,7 @@ def _compared(where: str, reads: list[Read], found: Cycles, torque: np.ndarray, 
     while count < len(rows) and _agree(rows[0], rows[count]):
         count += 1
     used = tuple(reads[:count])
-    midline, width, sd = np.array([_mean_of(used, t, half) for t in grid]).T
+    midline, width, sd = _mean_of(used, np.array(rows[:count]))
     clipped = _clipped(last.cycle, torque, angle)
     return Branches(grid, midline, width, sd, bool(clipped), used, found, (low, high), reach, clipped, (0, len(torque)))
 
@@ -155,12 +157,12 @@ def _pair(read: Read, at: float, half: float) -> tuple[float, float, float, floa
     return (up.angle + down.angle) / 2, down.angle - up.angle, float(noise), float(bias)
 
 
-def _mean_of(reads: Sequence[Read], at: float, half: float) -> tuple[float, float, float]:
-    """Midline, width and standard deviation of the midline of several cycles at a torque."""
-    midline, width, noise, bias = np.array([_pair(read, at, half) for read in reads]).T
+def _mean_of(reads: Sequence[Read], rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Midline, width and standard deviation of the midline of several cycles; rows are (cycles, torques, 4)."""
+    midline, width, noise, bias = np.moveaxis(rows, -1, 0)
     gap = max(abs(read.gap) / 2 if read.open else 0.0 for read in reads)  # how it has grown in a cycle is not known
-    sd = np.sqrt(np.mean(noise**2) / len(noise) + np.max(bias) ** 2 + gap**2)
-    return float(np.mean(midline)), float(np.mean(width)), max(float(sd), SMALLEST)
+    sd = np.sqrt(np.mean(noise**2, axis=0) / len(noise) + np.max(bias, axis=0) ** 2 + gap**2)
+    return np.mean(midline, axis=0), np.mean(width, axis=0), np.maximum(sd, SMALLEST)
 
 
 def _agree(one: np.ndarray, other: np.ndarray) -> bool:
@@ -206,10 +208,13 @@ def _smooth(torque: np.ndarray, rising: bool, noise: float) -> tuple[np.ndarray,
 
 
 def _step(angle: np.ndarray) -> float:
-    """Step of the reading of the angle, rad."""
+    """Step of the reading of the angle, rad; 0 where its values lie on no grid."""
     steps = np.diff(np.unique(angle))
     steps = steps[steps > 1e-9 * np.ptp(angle)]
-    return float(steps.min()) if len(steps) else 0.0
+    if not len(steps):
+        return 0.0
+    count = steps / steps.min()
+    return float(steps.min()) if np.all(np.abs(count - np.round(count)) < 0.05) else 0.0
 
 
 def _half(given: Samples) -> float:
@@ -252,14 +257,18 @@ def _torque_width(read: Read) -> float:
     """Torque on the rising branch less that on the falling one at the same angle, N m: twice the friction."""
     low = max(read.up.torque[0], read.down.torque[0])
     high = min(read.up.torque[-1], read.down.torque[-1])
-    grid = np.linspace(low, high, 4 * GRID)
-    half = (high - low) / (4 * GRID)
-    up, down = (np.array([one.value(t, half).angle for t in grid]) for one in (read.up, read.down))
-    if np.mean(up[GRID * 2 :]) < np.mean(up[: GRID * 2]):
-        up, down = -up, -down
-    up, down = np.maximum.accumulate(up), np.maximum.accumulate(down)
-    angles = np.linspace(max(up[0], down[0]), min(up[-1], down[-1]), 4 * GRID)[GRID // 2 : -GRID // 2]
-    return float(np.median(np.interp(angles, up, grid) - np.interp(angles, down, grid)))
+    ends = np.linspace(low, high, 4 * GRID + 1)
+    curves = []
+    for branch in (read.up, read.down):
+        place = np.clip(np.searchsorted(ends, branch.torque) - 1, 0, 4 * GRID - 1)
+        weight = np.bincount(place, branch.weight, 4 * GRID)
+        with np.errstate(invalid="ignore"):
+            means = [np.bincount(place, branch.weight * x, 4 * GRID) / weight for x in (branch.torque, branch.angle)]
+        curves.append([mean[weight > 0] for mean in means])
+    way = np.sign(curves[0][1][-1] - curves[0][1][0]) or 1.0
+    (up, rising), (down, falling) = ((t, np.maximum.accumulate(way * y)) for t, y in curves)
+    angles = np.linspace(max(rising[0], falling[0]), min(rising[-1], falling[-1]), 4 * GRID)[GRID // 2 : -GRID // 2]
+    return float(np.median(np.interp(angles, rising, up) - np.interp(angles, falling, down)))
 
 
 def _without(read: Read, jump: int, torque: float, width: float) -> Read:
@@ -313,10 +322,10 @@ def _held(read: Read, at: float, half: float) -> bool:
     """Whether a torque lies between samples of both branches; a little beyond the last one counts."""
     for branch in (read.up, read.down):
         steps, place = np.diff(branch.torque), int(np.searchsorted(branch.torque, at))
-        least = max(half / 2, 3 * float(np.median(steps)))
+        near = 3 * float(np.median(steps))
         beside = branch.torque[max(place - 1, 0) : place + 1]
-        between = 0 < place < len(branch.torque) and np.ptp(beside) <= least
-        if not between and np.min(np.abs(beside - at)) > least / 2:
+        between = 0 < place < len(branch.torque) and np.ptp(beside) <= max(half / 2, near)
+        if not between and np.min(np.abs(beside - at)) > near:
             return False
     return True
 

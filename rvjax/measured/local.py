@@ -109,12 +109,11 @@ def samples(torque: np.ndarray, blur: float, angle: np.ndarray, step: float) -> 
 def _parabola(given: Samples, part: slice, at: float) -> tuple[float, float, float, float]:
     """Value at a torque, its variance over that of a sample, slope, and spread of the samples about the parabola."""
     offset = given.torque[part] - at
-    scale = np.max(np.abs(offset)) or 1.0
-    rows = np.stack([np.ones_like(offset), offset / scale, (offset / scale) ** 2], axis=1)
-    root = np.sqrt(given.weight[part])
-    covariance = np.linalg.pinv((rows * root[:, None] ** 2).T @ rows)
-    solution = covariance @ (rows.T @ (root**2 * given.angle[part]))
-    left = root * (given.angle[part] - rows @ solution)
-    freedom = len(offset) - 3
-    spread = np.sqrt(np.sum(left**2) / freedom) if freedom > 0 else 0.0
+    scale = max(abs(offset[0]), abs(offset[-1])) or 1.0
+    rows = np.stack([np.ones_like(offset), offset / scale, (offset / scale) ** 2])
+    weighted = rows * given.weight[part]
+    covariance = np.linalg.pinv(weighted @ rows.T, hermitian=True)
+    solution = covariance @ (weighted @ given.angle[part])
+    left = given.angle[part] - solution @ rows
+    spread = np.sqrt(given.weight[part] @ left**2 / max(len(offset) - 3, 1))
     return float(solution[0]), float(covariance[0, 0]), float(solution[1] / scale), float(spread)
