@@ -3,6 +3,8 @@
 Oracle: the closed forms of `lost_motion.loop_figures` and the two branches g(T -+ friction) of the closed loop.
 """
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -30,7 +32,7 @@ def springs(passed):
 
 
 def ramp(*ends, step=2.01):
-    parts = [np.linspace(a, b, int(np.ceil(abs(b - a) / step)) + 1)[1:] for a, b in zip(ends, ends[1:])]
+    parts = [np.linspace(a, b, int(np.ceil(abs(b - a) / step)) + 1)[1:] for a, b in pairwise(ends)]
     return np.concatenate([[float(ends[0])], *parts])
 
 
@@ -131,7 +133,7 @@ def test_of_several_amplitudes_the_largest_is_read(read):
 
 
 def test_cycles_that_agree_are_averaged(read):
-    """Four cycles with noise: the standard deviation is half of that of one. A shift between them: the last one only."""
+    """Four cycles with noise: half the standard deviation of one. A shift between them: the last one only."""
     torque = ramp(0, *(MOST, -MOST) * 4, MOST)
     angle = twist(torque) + 0.02 * np.random.default_rng(0).standard_normal(len(torque))
     last = len(torque) - len(ramp(MOST, -MOST, MOST)) - 20

@@ -66,7 +66,7 @@ def test_a_parabola_knows_the_spread_of_its_value():
     rng, torque = np.random.default_rng(0), np.array([-0.9, -0.5, 0.1, 0.3, 0.6, 0.8])
     found = []
     for _ in range(4000):
-        given = Samples(torque, 2 * torque + rng.standard_normal(6), np.ones(6), 0.0, 0.0, 1.0)
+        given = Samples(torque, 2 * torque + rng.standard_normal(6), np.ones(6), 0.0, 0.0, (0.0, 0.0), 1.0)
         value, share, _, spread = _parabola(given, slice(0, 6), 0.0)
         found.append((value, share * spread**2))
     values, variances = np.array(found).T

@@ -104,7 +104,7 @@ def branches(where: str, torque: np.ndarray, angle: np.ndarray) -> Branches:
     span = np.ptp(torque)
     if len(torque) < 4 * GRID or span == 0:
         raise ValueError(f"{where} of {len(torque)} samples over {span:.4g} N m: needs {4 * GRID} samples, both ways")
-    found, step = cycles(torque), _step(angle)
+    found, step = cycles(torque), (_step(angle), _step(torque))
     reads = [_read(where, cycle, torque, angle, found.noise, step) for cycle in found.used]
     if reads and reads[0].cycle.joined and not _continues(reads[0], torque, angle, found.noise, step):
         reads = []
@@ -150,18 +150,19 @@ def _compared(where: str, reads: list[Read], found: Cycles, torque: np.ndarray, 
     return Branches(grid, midline, width, sd, bool(clipped), used, found, (low, high), reach, clipped, (0, len(torque)))
 
 
-def _pair(read: Read, at: float, half: float) -> tuple[float, float, float, float]:
-    """Midline, width, and standard deviation of the midline: noise, and what does not average out."""
+def _pair(read: Read, at: float, half: float) -> tuple[float, float, float, float, float]:
+    """Midline, width, standard deviation of the midline from noise, and what curvature adds to each branch."""
     up, down = read.up.value(at, half), read.down.value(at, half)
-    noise, bias = np.hypot(up.noise, down.noise) / 2, np.hypot(up.bias, down.bias) / 2
-    return (up.angle + down.angle) / 2, down.angle - up.angle, float(noise), float(bias)
+    noise = float(np.hypot(up.noise, down.noise)) / 2
+    return (up.angle + down.angle) / 2, down.angle - up.angle, noise, up.bias, down.bias
 
 
 def _mean_of(reads: Sequence[Read], rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Midline, width and standard deviation of the midline of several cycles; rows are (cycles, torques, 4)."""
-    midline, width, noise, bias = np.moveaxis(rows, -1, 0)
+    """Midline, width and standard deviation of the midline of several cycles; rows are (cycles, torques, 5)."""
+    midline, width, noise, up, down = np.moveaxis(rows, -1, 0)
+    bias = np.hypot(np.mean(up, axis=0), np.mean(down, axis=0)) / 2
     gap = max(abs(read.gap) / 2 if read.open else 0.0 for read in reads)  # how it has grown in a cycle is not known
-    sd = np.sqrt(np.mean(noise**2, axis=0) / len(noise) + np.max(bias, axis=0) ** 2 + gap**2)
+    sd = np.sqrt(np.mean(noise**2, axis=0) / len(noise) + bias**2 + gap**2)
     return np.mean(midline, axis=0), np.mean(width, axis=0), np.maximum(sd, SMALLEST)
 
 
@@ -171,7 +172,9 @@ def _agree(one: np.ndarray, other: np.ndarray) -> bool:
     return bool(np.mean(difference / variance) / 2 <= ALIKE)
 
 
-def _read(where: str, cycle: Cycle, torque: np.ndarray, angle: np.ndarray, noise: float, step: float) -> Read:
+def _read(
+    where: str, cycle: Cycle, torque: np.ndarray, angle: np.ndarray, noise: float, step: tuple[float, float]
+) -> Read:
     """Branches of a cycle; a gap at its end is removed in proportion to the time."""
     first, second, before = cycle.first, cycle.second, cycle.before
     for path in (first, second):
@@ -179,19 +182,27 @@ def _read(where: str, cycle: Cycle, torque: np.ndarray, angle: np.ndarray, noise
             count = f"{len(path.index)} samples between {path.start:.4g} and {path.end:.4g} N m"
             raise ValueError(f"{where}: only one branch, or too few samples: {count}, needs {LEAST} on each branch")
     passed = {path: _smooth(torque[path.index], path.rising, noise) for path in (first, second)}
-    own = {path: samples(*passed[path], angle[path.index], step) for path in passed}
+    own = {path: samples(*passed[path], angle[path.index], *step) for path in passed}
     led = None
     if before is not None and len(before.index) >= LEAST:
-        led = samples(*_smooth(torque[before.index], before.rising, noise), angle[before.index], step)
+        led = samples(*_smooth(torque[before.index], before.rising, noise), angle[before.index], *step)
     gap, sure = _gap(cycle, own[first], own[second], led)
     jump = _jump(cycle, angle)
     opened = bool(abs(gap) > sure)
     if opened and jump is None:
         middle, length = (first.time[-1] + second.time[0]) / 2, cycle.span[1] - cycle.span[0]
         for path in passed:
-            own[path] = samples(*passed[path], angle[path.index] - gap * (path.time - middle) / length, step)
+            own[path] = samples(*passed[path], angle[path.index] - gap * (path.time - middle) / length, *step)
     read = Read(cycle, own[cycle.rising], own[cycle.falling], gap, sure, opened, jump)
-    return read if jump is None else _without(read, jump, torque[jump], _torque_width(read))
+    if jump is None:
+        return read
+    path = next(path for path in passed if jump in path.index)
+    beyond = (passed[path][0] - torque[jump]) * (1 if path.rising else -1)
+    # Friction takes up to its whole width to come back to the branch.
+    kept = (path.index <= jump) | (beyond > _torque_width(read))
+    smooth, blur = passed[path]
+    rest = samples(smooth[kept], blur, angle[path.index][kept], *step)
+    return replace(read, up=rest) if path.rising else replace(read, down=rest)
 
 
 def _smooth(torque: np.ndarray, rising: bool, noise: float) -> tuple[np.ndarray, float]:
@@ -207,14 +218,17 @@ def _smooth(torque: np.ndarray, rising: bool, noise: float) -> tuple[np.ndarray,
     return signal.savgol_filter(torque, window, 2, mode="interp"), noise
 
 
-def _step(angle: np.ndarray) -> float:
-    """Step of the reading of the angle, rad; 0 where its values lie on no grid."""
-    steps = np.diff(np.unique(angle))
-    steps = steps[steps > 1e-9 * np.ptp(angle)]
-    if not len(steps):
-        return 0.0
-    count = steps / steps.min()
-    return float(steps.min()) if np.all(np.abs(count - np.round(count)) < 0.05) else 0.0
+def _step(values: np.ndarray) -> float:
+    """Step of a reading, by the algorithm of Euclid; 0 where its values lie on no grid."""
+    distinct, least = np.unique(values), 1e-7 * np.ptp(values)
+    steps = np.diff(distinct)
+    step = np.min(steps, where=steps > least, initial=np.inf)
+    while least < step < np.inf:
+        rest = np.abs(distinct - distinct[0] - step * np.round((distinct - distinct[0]) / step))
+        if np.all(rest < 0.02 * step):
+            return float(step)
+        step = np.min(rest, where=rest >= 0.02 * step, initial=np.inf)
+    return 0.0
 
 
 def _half(given: Samples) -> float:
@@ -271,23 +285,13 @@ def _torque_width(read: Read) -> float:
     return float(np.median(np.interp(angles, rising, up) - np.interp(angles, falling, down)))
 
 
-def _without(read: Read, jump: int, torque: float, width: float) -> Read:
-    """A cycle without the torques behind a restart: friction takes up to its whole width to come back to the branch."""
-    rising = jump in read.cycle.rising.index
-    given = read.up if rising else read.down
-    beyond = (given.torque - torque) * (1 if rising else -1)
-    kept = (beyond <= 0) | (beyond > width)
-    rest = replace(given, torque=given.torque[kept], angle=given.angle[kept], weight=given.weight[kept])
-    return replace(read, up=rest) if rising else replace(read, down=rest)
-
-
-def _continues(read: Read, torque: np.ndarray, angle: np.ndarray, noise: float, step: float) -> bool:
+def _continues(read: Read, torque: np.ndarray, angle: np.ndarray, noise: float, step: tuple[float, float]) -> bool:
     """Whether the end of the record goes on at its start: a first branch would start beside the loop."""
     second = read.cycle.second
     parts = [second.index[second.time >= len(torque)], second.index[second.time < len(torque)]]
     if min(len(part) for part in parts) < FEWEST + 2:
         return False
-    head, tail = (samples(*_smooth(torque[part], second.rising, noise), angle[part], step) for part in parts)
+    head, tail = (samples(*_smooth(torque[part], second.rising, noise), angle[part], *step) for part in parts)
     at = (torque[parts[0][0]] + torque[parts[1][-1]]) / 2
     start, end = head.value(at, _half(head)), tail.value(at, _half(tail))
     other = (read.up if read.cycle.first.rising else read.down).value(at, _half(tail))
@@ -311,8 +315,8 @@ def _parted(where: str, read: Read) -> tuple[float, float, float]:
     for side, (end, inward) in enumerate(((low, 1.0), (high, -1.0))):
         _, full, *_ = _pair(read, end + inward * 1.2 * reach, half)
         for share in np.arange(0.95, 0.0, -0.1):
-            _, width, noise, bias = _pair(read, end + inward * share * reach, half)
-            if abs(width) < PARTED * abs(full) - 4 * np.hypot(noise, bias):
+            _, width, noise, *bias = _pair(read, end + inward * share * reach, half)
+            if abs(width) < PARTED * abs(full) - 4 * np.hypot(noise, np.hypot(*bias) / 2):
                 limits[side] = float(end + inward * min(1.0, share + 0.15) * reach)
                 break
     return limits[0], limits[1], reach
@@ -322,7 +326,7 @@ def _held(read: Read, at: float, half: float) -> bool:
     """Whether a torque lies between samples of both branches; a little beyond the last one counts."""
     for branch in (read.up, read.down):
         steps, place = np.diff(branch.torque), int(np.searchsorted(branch.torque, at))
-        near = 3 * float(np.median(steps))
+        near = 1.5 * float(np.median(steps))
         beside = branch.torque[max(place - 1, 0) : place + 1]
         between = 0 < place < len(branch.torque) and np.ptp(beside) <= max(half / 2, near)
         if not between and np.min(np.abs(beside - at)) > near:

@@ -1,12 +1,12 @@
 """Angle of a branch at any torque: parabolas through the samples about it, as wide as its curvature allows."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 FEWEST = 5  # torques of a parabola
 LEVELS = 8  # widths, each half the one before
-AGREE = 2.5  # standard deviations within which parabolas of different width agree
+AGREE = 2.0  # standard deviations within which parabolas of different width agree
 CHI = 0.839  # median of chi square of four degrees of freedom, over four
 
 
@@ -17,7 +17,7 @@ class Value:
     Attributes:
         angle: rad.
         noise: its standard deviation from the spread of the samples, rad.
-        bias: what curvature within the samples may add, rad.
+        bias: what curvature within the samples may add, with its sign, rad.
     """
 
     angle: float
@@ -35,6 +35,7 @@ class Samples:
         weight: samples of this torque (m,).
         blur: noise of the torque that the spread of the angles does not contain, N m.
         step: of the reading of the angle, rad.
+        beat: steps of the readings of angle, rad, and torque, N m, whose errors do not average out; 0: they do.
         spread: standard deviation of a sample about the branch, rad.
     """
 
@@ -43,6 +44,7 @@ class Samples:
     weight: np.ndarray
     blur: float
     step: float
+    beat: tuple[float, float]
     spread: float
 
     def near(self, at: float, half: float) -> slice:
@@ -79,23 +81,27 @@ class Samples:
         part = places[taken]
         noise = share * (max(self.spread, spread) ** 2 + (slope * self.blur) ** 2)
         stuck = np.ptp(self.angle[part]) <= 1.5 * self.step  # one step of the reading: its error does not average out
-        noise += self.step**2 / 12 if stuck else 0.0
-        bias = abs(fits[1][0] - angle) / 2 if widest == 0 and len(fits) > 1 else 0.0
-        return Value(float(angle), float(np.sqrt(noise)), float(bias))
+        noise += self.step**2 / 12 if stuck else (self.beat[0] ** 2 + (slope * self.beat[1]) ** 2) / 12
+        wider = fits[min(taken + 1, len(fits) - 1)][0]  # curvature grows at least with the width of the samples
+        return Value(float(angle), float(np.sqrt(noise)), float(wider - angle) / 2)
 
 
-def samples(torque: np.ndarray, blur: float, angle: np.ndarray, step: float) -> Samples:
+def samples(torque: np.ndarray, blur: float, angle: np.ndarray, step: float, torque_step: float) -> Samples:
     """Samples of a branch.
 
     Args:
         torque: without noise, N m (n,).
         blur: noise of the torque that has been removed, N m.
         angle: rad (n,).
-        step: of the reading of the angle, rad.
+        step: of the reading of the angle, rad; 0 where there is none.
+        torque_step: of the reading of the torque, N m.
     """
     distinct, place, weight = np.unique(torque, return_inverse=True, return_counts=True)
     mean = np.bincount(place, angle) / weight
-    made = Samples(distinct, mean, weight.astype(float), blur, step, 0.0)
+    # A ramp in finer steps than the reading's passes through all of its errors; one in coarser steps may beat with it.
+    moved = [float(np.median(np.abs(np.diff(values)))) for values in (angle, torque)]
+    beat = tuple(own if change > 2 * own else 0.0 for own, change in zip((step, torque_step), moved))
+    made = Samples(distinct, mean, weight.astype(float), blur, step, (beat[0], beat[1]), 0.0)
     if len(distinct) < FEWEST + 2:
         return made
     squares = []
@@ -103,7 +109,7 @@ def samples(torque: np.ndarray, blur: float, angle: np.ndarray, step: float) -> 
         low = int(np.clip(np.searchsorted(distinct, at) - 3, 0, len(distinct) - 7))
         squares.append(_parabola(made, slice(low, low + 7), at)[3] ** 2)
     spread = np.sqrt(np.median(squares) / CHI + step**2 / 12)
-    return Samples(distinct, mean, weight.astype(float), blur, step, float(spread))
+    return replace(made, spread=float(spread))
 
 
 def _parabola(given: Samples, part: slice, at: float) -> tuple[float, float, float, float]:
