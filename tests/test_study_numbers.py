@@ -135,7 +135,8 @@ def test_unlike_branches_are_compared_where_both_are():
     up, down = np.linspace(-100, 100, 400), np.linspace(100, -60, 400)
     torque = np.concatenate([up, down])
     angle = torque * 1e-6 + np.repeat([0.0, 3e-5], 400)
-    grid, midline, width, *_ = branches("x", torque, angle)
+    found = branches("x", torque, angle)
+    grid, midline, width = found.torque, found.midline, found.width
     assert -60 < grid[0] < -55 and 95 < grid[-1] < 100
     inner = grid < 90  # the turning point mixes the branches over one sample in a hundred
     assert width[inner] == pytest.approx(3e-5, rel=1e-6)

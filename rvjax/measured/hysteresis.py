@@ -4,7 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from rvjax.measured.branches import WIDEST, Branches, Read
+from rvjax.measured.branches import WIDEST, Branches
+from rvjax.measured.cycle import Read
 from rvjax.measured.kind import Finding
 from rvjax.measured.reversals import Path
 from rvjax.units import arcmin
@@ -34,6 +35,9 @@ def used(found: Branches, count: int) -> np.ndarray:
         count: of the samples of the record.
     """
     branch = np.zeros(count, int)
+    as_one = found.reads[0].count > 1
+    for cycle in found.found.used if as_one else ():
+        branch[cycle.rising.index], branch[cycle.falling.index] = 1, -1
     for read in found.reads:
         for path, way, kept in ((read.cycle.rising, 1, read.up), (read.cycle.falling, -1, read.down)):
             branch[found.part[0] + path.index] = way
@@ -68,6 +72,8 @@ def _cycles(found: Branches, rows: np.ndarray) -> Iterator[Finding]:
     elif not cycle.whole:
         low, high = cycle.limits
         text = f"no whole cycle: two branches, {place}, share {low:.4g} to {high:.4g} N m"
+    elif (several := found.reads[0].count) > 1:
+        text, count = f"the samples of {several} whole cycles as one, because each has few", several
     elif count > 1:
         text = f"mean of the last {count} of {whole} whole cycles, which agree; the last one is {place}"
     else:
@@ -169,7 +175,7 @@ def _compliances(read: Read, high: float, low: float) -> list[tuple[float, float
 
 
 def _loads(path: Path, extreme: float) -> bool:
-    """Whether a branch goes from below half of an extreme torque to nearly all of it."""
+    """Check that a branch goes from below half of an extreme torque to nearly all of it."""
     share = np.array([path.start, path.end]) / extreme if extreme else np.zeros(2)
     return bool(share[0] < 0.5 and share[1] > 0.9)
 

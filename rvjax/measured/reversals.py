@@ -8,7 +8,7 @@ SHARE = 0.05  # least share of the span between two reversals
 SURE = 8.0  # standard deviations of the noise: range of a thousand samples at rest, with a margin
 ALIKE = 0.1  # share of a branch by which the extremes of a cycle may differ
 REST = 1e-3  # share of the span within which a torque rests at its extreme
-AT_END = 0.5  # share of the largest torque from which on a record starts at an extreme: not the first branch
+AT_END = 0.5  # share of the largest torque from which on a record starts at an extreme, not on the first branch
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class Path:
 
     @property
     def rising(self) -> bool:
-        """Whether the torque rises."""
+        """True for rising torque."""
         return self.end > self.start
 
 
@@ -117,7 +117,7 @@ def cycles(torque: np.ndarray) -> Cycles:
         for k in range(len(turns) - 1)
     ]
     before = [None, *paths[:-1]]
-    started = 0 if len(paths) and abs(paths[0].start) >= AT_END * np.max(np.abs(smooth)) else 1
+    started = 0 if paths and _loaded(paths[0], np.max(np.abs(smooth))) else 1
     pairs = [
         Cycle(
             *(paths[k], paths[k + 1], before[k], _closed(paths[k], paths[k + 1])),
@@ -171,6 +171,12 @@ def _rest(torque: np.ndarray, turns: list[int], k: int, within: float) -> tuple[
 
 def _path(torque: np.ndarray, index: np.ndarray, start: float, end: float) -> Path:
     return Path(index, index.astype(float), float(start), float(end))
+
+
+def _loaded(path: Path, most: float) -> bool:
+    """Check that a record starts under a torque: its first branch is part of a loop."""
+    against = path.start * path.end < 0 and abs(path.start) >= ALIKE * most
+    return abs(path.start) >= AT_END * most or against
 
 
 def _closed(first: Path, second: Path) -> bool:
