@@ -78,16 +78,16 @@ def _cycles(found: Branches, rows: np.ndarray) -> Iterator[Finding]:
         text = f"mean of the last {count} of {whole} whole cycles, which agree; the last one is {place}"
     else:
         text = f"the last of {whole} whole cycles, {place}" if whole > 1 else f"one whole cycle, {place}"
-    yield Finding("cycles", float(count if cycle.whole else 0), "", text, warning=not cycle.whole)
+    yield Finding("cycles", float(count if cycle.whole else 0), "-", text, warning=not cycle.whole)
     if found.found.others:
         listed = ", ".join(f"{low:.4g} to {high:.4g} N m" for low, high in found.found.others)
         text = f"the record also has cycles of other torques ({listed}), which are not used"
-        yield Finding("other cycles", float(len(found.found.others)), "", text)
+        yield Finding("other cycles", float(len(found.found.others)), "-", text)
     jumps = [read.jump for read in found.reads if read.jump is not None]
     if found.part[1] - found.part[0] == len(rows) and jumps:
         places = ", ".join(f"{rows[jump]}" for jump in jumps)
         text = f"behind row {places} the angle jumps on one branch only: a restart; samples behind it are not used"
-        yield Finding("restart", float(len(jumps)), "", text, warning=True)
+        yield Finding("restart", float(len(jumps)), "-", text, warning=True)
     if found.found.noise > THRESHOLD / 3 * abs(max(cycle.limits, key=abs)):
         text = "noise of the torque; it is removed along each branch, and part of the standard deviation"
         yield Finding("torque noise", found.found.noise, "N m", text)
@@ -99,7 +99,7 @@ def _limits(found: Branches, low: float, high: float) -> Iterator[Finding]:
         yield Finding("clipped sensor", torque, "N m", text, warning=True)
     if _one_sided(low, high):
         text = f"the torque goes from {low:.4g} to {high:.4g} N m, on one side of zero: no width at zero torque"
-        yield Finding("one-sided loop", np.nan, "", text, warning=True)
+        yield Finding("one-sided loop", np.nan, "-", text, warning=True)
     ends = found.limits
     inside = max(high - ends[1], ends[0] - low)
     if found.reach >= WIDEST * (ends[1] - ends[0]):
