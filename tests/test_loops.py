@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from rvjax import measured
+from rvjax import measured, plotting
 from rvjax.lost_motion import loop_figures
 from rvjax.measured import KINDS
 from rvjax.measured.reversals import cycles
@@ -260,3 +260,29 @@ def test_reversals_beside_a_noisy_torque():
     for cycle in found.used:
         for turn in cycle.span:
             assert abs(abs(command[turn]) - 4) < 1
+
+
+def test_the_plot_of_a_loop_shows_which_samples_are_read(read):
+    torque = ramp(*THREE)
+    loop, found = read(torque, twist(torque))
+    kept = loop.recorded
+    axes = plotting.identified.loop(
+        *(loop.torque, loop.midline, loop.width, loop.midline),
+        recorded=(kept.torque, kept.angle, kept.branch),
+    )
+    drawn = {line.get_label(): line.get_xydata() for line in axes.get_lines()}
+    for name, branch in (("rising", 1), ("falling", -1), ("not used", 0)):
+        own = kept.branch == branch
+        np.testing.assert_allclose(drawn[name], np.stack([torque[own], kept.angle[own] / arcmin], axis=1))
+    (width,) = (points for name, points in drawn.items() if "at zero torque" in name)
+    assert np.diff(width[:, 1]) * arcmin == pytest.approx(found["width at zero torque"].value, rel=1e-3)
+
+
+def test_a_staircase_of_torques_is_read(read):
+    """Five readings at each of 83 torques of a branch, 10 N m apart: equal torques are one sample."""
+    torque = np.repeat(ramp(*THREE, step=10.0), 5)
+    angle = twist(torque) + 0.005 * np.random.default_rng(0).standard_normal(len(torque))
+    loop, found = read(torque, angle)
+    assert not loop.clipped and len(loop.torque) == 21
+    assert np.sqrt(np.mean(score(loop) ** 2)) < 1.2
+    assert found["stiffness"].value == pytest.approx(STIFFNESS / arcmin, rel=2e-3)

@@ -124,7 +124,7 @@ def _compared(where: str, reads: list[Read], found: Cycles, torque: np.ndarray, 
         grid = np.array([t for t in grid if all(_held(read, t, half) for read in reads)])
     for read in reads:
         for branch in (read.up, read.down):
-            _covered(where, branch, grid, half)
+            _covered(where, branch, grid)
     rows = [np.array([_pair(read, t, half) for t in grid]) for read in reads]
     count = 1
     while count < len(rows) and _agree(rows[0], rows[count]):
@@ -189,14 +189,15 @@ def _held(read: Read, at: float, half: float) -> bool:
     return True
 
 
-def _covered(where: str, branch: Samples, grid: np.ndarray, half: float) -> None:
-    """Raise an error where a branch has a gap in its torques."""
-    half = max(half, branch.blur)
+def _covered(where: str, branch: Samples, grid: np.ndarray) -> None:
+    """Raise an error where a branch has a gap of more than two steps of a grid over all of its torques."""
+    most = max(2 * np.ptp(branch.torque) / GRID, 2 * branch.blur)
     for t in grid:
-        near = branch.torque[branch.near(t, half)]
-        if near[-1] - near[0] > 8 * half or not near[0] - half <= t <= near[-1] + half:
-            count = int(np.sum(np.abs(branch.torque - t) <= half))
-            raise ValueError(f"{where}: {count} samples within {half:.4g} N m of {t:.4g} N m on a branch, needs 4")
+        place = int(np.searchsorted(branch.torque, t))
+        below, above = branch.torque[max(place - 1, 0)], branch.torque[min(place, len(branch.torque) - 1)]
+        if above - below > most or not below - most <= t <= above + most:
+            gap = f"no samples between {below:.4g} and {above:.4g} N m on a branch"
+            raise ValueError(f"{where}: {gap}; the largest gap may be {most:.4g} N m")
 
 
 def _clipped(cycle: Cycle, torque: np.ndarray, angle: np.ndarray) -> tuple[float, ...]:

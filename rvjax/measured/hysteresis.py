@@ -143,18 +143,21 @@ def _values(found: Branches, low: float, high: float, torque: np.ndarray, angle:
         sd = np.sqrt(max(own**2 - gap**2, 0.0) + max(other**2 - gap**2, 0.0))
         text = f"midline at +-{at:.4g} N m, 3 % of the extreme torque; +-{sd / arcmin:.2g} arcmin"
         yield Finding("lost motion", upper - lower, "rad", text)
-    sides = [side for read in found.reads for side in _compliances(read, high, low)]
-    if sides:
-        compliance, sd = np.mean([c for c, _ in sides]), np.hypot.reduce([s for _, s in sides]) / len(sides)
-        stiffness = 1 / compliance
-        text = (
-            f"between half of the extreme torque and all of it, branches under rising load; "
-            f"+-{stiffness**2 * sd * arcmin:.2g} N m/arcmin"
-        )
-        yield Finding("stiffness", float(stiffness), "N m/rad", text)
+    yield from _stiffness(found, low, high)
     if not found.clipped_at and all(r.jump is None and r.cycle.whole and not r.cycle.joined for r in found.reads):
         energy = [_energy(read, torque, angle) for read in found.reads]
         yield Finding("energy", float(np.mean(energy)), "N m", "area of the loop, lost in one cycle")
+
+
+def _stiffness(found: Branches, low: float, high: float) -> Iterator[Finding]:
+    sides = [side for read in found.reads for side in _compliances(read, high, low)]
+    if not sides:
+        return
+    compliance, sd = np.mean([c for c, _ in sides]), np.hypot.reduce([s for _, s in sides]) / len(sides)
+    if abs(compliance) > sd:
+        spread = sd / compliance**2 * arcmin
+        where = "between half of the extreme torque and all of it, branches under rising load"
+        yield Finding("stiffness", float(1 / compliance), "N m/rad", f"{where}; +-{spread:.2g} N m/arcmin")
 
 
 def _compliances(read: Read, high: float, low: float) -> list[tuple[float, float]]:
