@@ -100,7 +100,9 @@ def _read_all(where: str, found: Cycles, torque: np.ndarray, angle: np.ndarray, 
             f"{where}: only one branch behind the first; the torque has to rise and to fall once more, "
             "because the first branch is no part of a loop"
         )
-    jump = reads[0].jump
+    jump, few = reads[0].jump, min(len(reads[0].up.torque), len(reads[0].down.torque)) < 2 * GRID
+    if len(reads) > 1 and few and not any(read.open or read.jump is not None for read in reads):
+        reads = [together(found, torque, angle, step)]
     if jump is None:
         return _compared(where, reads, found, torque, angle)
     try:
