@@ -151,8 +151,11 @@ def test_cycles_of_few_samples_are_read_together(read):
     """Twenty-one samples on each branch, at other torques in each of eight cycles."""
     torque, rng = ramp(0, *(MOST, -MOST) * 8, MOST, step=40), np.random.default_rng(0)
     torque = torque + np.where(np.abs(torque) < 390, rng.uniform(-13, 13, len(torque)), 0.0)
-    loop, found = read(torque, twist(torque) + 0.01 * rng.standard_normal(len(torque)))
+    angle = twist(torque) + 0.01 * rng.standard_normal(len(torque))
+    loop, found = read(torque, angle)
     assert found["cycles"].value == 8 and "8 whole cycles as one" in found["cycles"].text
+    two, _ = read(torque[-90:], angle[-90:])
+    assert np.median(loop.sd) == pytest.approx(np.median(two.sd) / 2, rel=0.3)
     assert np.sqrt(np.mean(score(loop) ** 2)) < 1.5 and np.median(loop.sd) < 0.006 * arcmin
 
 
