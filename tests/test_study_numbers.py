@@ -6,7 +6,8 @@ import pytest
 
 from rvjax import measured, models, study
 from rvjax.measured import Conditions
-from rvjax.measured.branches import _local, branches
+from rvjax.measured.branches import branches
+from rvjax.measured.local import Samples, _parabola
 from rvjax.outputs import torque_of
 from rvjax.published.rv160 import READ
 from rvjax.study import bench
@@ -60,11 +61,17 @@ def test_the_noise_of_two_units_is_the_root_of_the_mean_square(tmp_path):
     assert both == pytest.approx(np.sqrt(5) * one, rel=1e-9)
 
 
-def test_a_line_knows_the_spread_of_its_value():
-    """4000 lines through six samples: the mean of their variances is the variance of their values, to 6 %."""
+def test_a_parabola_knows_the_spread_of_its_value():
+    """4000 parabolas through six samples: the mean of their variances is the variance of their values, to 7 %."""
     rng, torque = np.random.default_rng(0), np.array([-0.9, -0.5, 0.1, 0.3, 0.6, 0.8])
-    found = np.array([_local("x", torque, 2 * torque + rng.standard_normal(6), 0.0, 1.0) for _ in range(4000)])
-    assert np.mean(found[:, 1] ** 2) == pytest.approx(np.var(found[:, 0]), rel=0.06)
+    found = []
+    for _ in range(4000):
+        given = Samples(torque, 2 * torque + rng.standard_normal(6), np.ones(6), 0.0, 0.0, (0.0, 0.0), 1.0)
+        value, share, _, spread = _parabola(given, slice(0, 6), 0.0)
+        found.append((value, share * spread**2))
+    values, variances = np.array(found).T
+    assert np.mean(variances) == pytest.approx(np.var(values), rel=0.07)
+    assert np.mean(values) == pytest.approx(0.0, abs=0.05)
 
 
 def test_load_opposes_the_motion():
@@ -128,7 +135,8 @@ def test_unlike_branches_are_compared_where_both_are():
     up, down = np.linspace(-100, 100, 400), np.linspace(100, -60, 400)
     torque = np.concatenate([up, down])
     angle = torque * 1e-6 + np.repeat([0.0, 3e-5], 400)
-    grid, midline, width, *_ = branches("x", torque, angle)
+    found = branches("x", torque, angle)
+    grid, midline, width = found.torque, found.midline, found.width
     assert -60 < grid[0] < -55 and 95 < grid[-1] < 100
     inner = grid < 90  # the turning point mixes the branches over one sample in a hundred
     assert width[inner] == pytest.approx(3e-5, rel=1e-6)

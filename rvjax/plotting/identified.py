@@ -70,7 +70,13 @@ def residual_orders(residual: Mapping[str, np.ndarray], sd: float, *, axes: Axes
 
 
 def loop(
-    torque: np.ndarray, midline: np.ndarray, width: np.ndarray, predicted: np.ndarray, *, axes: Axes | None = None
+    torque: np.ndarray,
+    midline: np.ndarray,
+    width: np.ndarray,
+    predicted: np.ndarray,
+    *,
+    recorded: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None,
+    axes: Axes | None = None,
 ) -> Axes:
     """Midline and branches of a measured torque-angle loop and the identified unit.
 
@@ -79,15 +85,24 @@ def loop(
         midline: measured, rad (n,).
         width: of the loop, rad (n,).
         predicted: midline of the unit, rad (n,).
+        recorded: torque N m, angle rad, and branch of each sample: 1 rising, -1 falling, 0 not used (m,).
         axes: where to draw; a new figure by default.
     """
     axes = new_axes(axes)
     low, high = (midline - width / 2) / arcmin, (midline + width / 2) / arcmin
-    axes.fill_between(torque, low, high, color="0.88", lw=0, label="measured loop")
+    axes.fill_between(torque, low, high, color="0.88", lw=0, label="measured loop" if recorded is None else "width")
+    if recorded is not None:
+        for branch, colour, label in ((0, "0.6", "not used"), (1, PALETTE[4], "rising"), (-1, PALETTE[3], "falling")):
+            own = recorded[2] == branch
+            if np.any(own):
+                axes.plot(recorded[0][own], recorded[1][own] / arcmin, ".", color=colour, ms=2, label=label)
     axes.plot(torque, midline / arcmin, "o", color=BEFORE, ms=4, label="its midline")
     axes.plot(torque, predicted / arcmin, color=AFTER, label="identified unit")
+    if torque[0] <= 0 <= torque[-1]:
+        ends = [float(np.interp(0.0, torque, side)) for side in (low, high)]
+        axes.plot([0.0, 0.0], ends, "|-", color=LIMIT, lw=1.4, label=f"{ends[1] - ends[0]:.3g} arcmin at zero torque")
     axes.set(xlabel="torque on the output (N m)", ylabel="arcmin")
-    axes.legend(loc="upper left")
+    axes.legend(loc="upper left", markerscale=2 if recorded is not None else 1)
     return axes
 
 

@@ -32,7 +32,9 @@ def figures(found: Identified) -> Iterator[Figure]:
         yield Figure("orders", "Residual of each order, and the noise", partial(_orders, found))
     if inputs.kind == "loop" and isinstance(loop := inputs.items[0][0], Loop):
         curves = loop.torque, loop.midline, loop.width, np.asarray(posterior.prediction["angle"])
-        draw = lambda: rvjax.plotting.identified.loop(*curves)  # noqa: E731
+        kept = loop.recorded
+        samples = None if kept is None else (kept.torque, kept.angle, kept.branch)
+        draw = lambda: rvjax.plotting.identified.loop(*curves, recorded=samples)  # noqa: E731
         yield Figure("loop", "Midline of the measured loop and of the identified unit", draw)
     caption = "Every element: prior (grey), posterior, and the limits of the drawing"
     yield Figure("elements", caption, partial(_elements, found))
