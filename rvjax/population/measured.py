@@ -178,7 +178,7 @@ def measured(
         if filled[name] is not values:
             if _is_positive(given.get(_field(name)), (about or {}).get(_field(name), {})) and values.min() >= 0:
                 filled[name] = np.maximum(filled[name], 0.0)
-            own = read.shown[name]
+            own = shown[name]
             warnings.warn(
                 f"{path}: {name}: {len(values)} readings with {found.distinct} different values, in steps of "
                 f"{step / _family(name, about)[own]:.3g} {own}: their spread below a step is not known",
