@@ -1,32 +1,17 @@
 """Curves of the transmission error along turns of the output."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from rvjax._ground.columns import Table
 from rvjax.measured.conditions import Conditions, where as named
 from rvjax.measured.kind import Kind
+from rvjax.measured.run import Run
+from rvjax.measured.sampling import legs, places
 from rvjax.units import deg
 
 TURN = 359 * deg  # what a run has to cover; every sample represents the step before it
-
-
-@dataclass(frozen=True)
-class Run:
-    """Transmission error along a turn of the output.
-
-    Attributes:
-        source: name of the file.
-        at: under which conditions.
-        angle: of the output, ascending or descending without jumps, rad (n,).
-        error: > 0: output ahead, rad (n,).
-    """
-
-    source: str
-    at: Conditions
-    angle: np.ndarray
-    error: np.ndarray
 
 
 class Curve(Kind):
@@ -44,7 +29,7 @@ class Curve(Kind):
         for row, value in zip(table.rows[rows][kept], angle[kept]):
             if np.isnan(value):
                 raise ValueError(f"{table.source}: row {row}, angle is empty: every sample needs its angle in deg")
-        return Run(table.source, at, np.unwrap(angle[kept]), error[kept])
+        return Run(table.source, at, np.unwrap(angle[kept]), error[kept], table.rows[rows][kept])
 
 
 def checked(run: Run, finest: int) -> Run:

@@ -12,9 +12,10 @@ import numpy as np
 from rvjax._ground import columns as cells
 from rvjax._ground.columns import Table
 from rvjax.measured.conditions import DIRECTIONS, Conditions
-from rvjax.measured.curve import Curve, Run
+from rvjax.measured.curve import Curve
 from rvjax.measured.kind import Item, Kind
 from rvjax.measured.loop import Hysteresis
+from rvjax.measured.run import Run
 from rvjax.measured.tones import Frequencies
 from rvjax.units import KNOWN
 

@@ -1,0 +1,119 @@
+"""Orders of a curve that a correction table may hold."""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from rvjax import identify
+from rvjax.identify import Orders
+from rvjax.measured import level
+from rvjax.measured.judge import FASTEST, Judged
+from rvjax.measured.search import LOW
+
+SPARE = 4  # places for every number that is fitted
+WEAK = 3.0  # times the noise of a whole revolution: an order that the stroke does not determine
+CHANCE = 0.001
+"""Chance that at least one of the stored orders is noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """Orders of a curve.
+
+    Attributes:
+        found: by least squares; `sd` contains the noise of the orders about each, and that of a drift.
+        seen: positions of the orders that exceed noise and are no alias (s,).
+        unsure: {order: why it is not stored} of the others that exceed noise.
+        colour: largest power of the noise of an order, of that of independent readings.
+    """
+
+    found: Orders
+    seen: np.ndarray
+    unsure: dict[int, str]
+    colour: float
+
+
+def fitted(judged: Judged, most: int) -> Fitted:
+    """Orders of a curve, and those that its readings prove.
+
+    Args:
+        judged: the curve.
+        most: highest order.
+
+    Raises:
+        ValueError: too few readings.
+    """
+    orders = _orders(judged, most)
+    found = identify.orders(judged.angle, judged.error, orders)
+    taken = [atom.at for atom in judged.found("order", "line")]
+    top = min(judged.sampling.finest, len(judged.angle) / (2 * max(judged.sampling.turns, 1e-9)), 3.0 * most)
+    white_sd = found.residual_sd
+    share, count = level.factor(judged.model.angle, judged.model.residual, white_sd, orders, taken, top)
+    plain = found.sd
+    sd = np.sqrt(found.sd**2 * share + _of_drift(judged, orders) ** 2)
+    tries = max(len(orders), 1) / CHANCE
+    limit = math.log(tries) if math.isinf(count) else count * math.expm1(math.log(tries) / count)
+    strong = np.flatnonzero(np.abs(found.value) ** 2 > 2 * sd**2 * limit)
+    found = dataclasses.replace(found, sd=sd)
+    least = white_sd * math.sqrt(2 / len(judged.angle))
+    unsure = {}
+    for k in strong:
+        why = "the stroke does not determine it" if plain[k] > WEAK * least else doubt(judged, float(orders[k]))
+        if why:
+            unsure[int(orders[k])] = why
+    seen = np.array([k for k in strong if int(orders[k]) not in unsure], int)
+    return Fitted(found, seen, unsure, float(np.max(share, initial=1.0)))
+
+
+def _orders(judged: Judged, most: int) -> np.ndarray:
+    """Orders that are fitted: all that the number of places admits, and those that were found."""
+    points = len(judged.angle)
+    few = min(most, (points // SPARE - 1) // 2) if judged.sampling.whole else 1
+    own = [int(atom.at) for atom in judged.found("order") if atom.at <= most]
+    if 2 * len({*own, *range(1, few + 1)}) + 1 > points // 2:
+        few = 1
+    return np.array(sorted({*own, *range(1, few + 1)}), int)
+
+
+def _of_drift(judged: Judged, orders: np.ndarray) -> np.ndarray:
+    """Standard deviation of each order from that of the drift that was taken off (k,)."""
+    variance = np.zeros(len(orders))
+    for atom in judged.found("drift", "warm-up", "step"):
+        covariance = judged.model.size(atom)[1] * judged.noise**2
+        kept = np.isin(judged.model.angle, judged.angle)
+        column = atom.columns(judged.model.angle)[kept, 0]
+        leak = identify.orders(judged.angle, column - column.mean(), orders).value
+        variance += np.abs(leak) ** 2 * covariance[0, 0]
+    return np.sqrt(variance)
+
+
+def doubt(judged: Judged, order: float) -> str:
+    """Why an order may be another one; "" if it is what it seems.
+
+    Args:
+        judged: the curve.
+        order: whole number per revolution.
+    """
+    sampling, parts = judged.sampling, judged.parts
+    for atom in judged.found("line"):
+        if abs(atom.at - order) * sampling.turns < 1:
+            return f"order {atom.at:.5g} is next to it"
+    if order >= sampling.finest:
+        return f"it may be order {judged.looks_like(order):g}"
+    if names := judged.hidden(order):
+        name, own = next(iter(names.items()))
+        return f"it may be order {own:.5g} ({name})"
+    if order in parts.values() or not math.isfinite(sampling.repeat):
+        return ""
+    fastest = max(parts.values(), default=0.0)
+    other = sampling.repeat - order
+    if other > FASTEST * fastest:
+        return ""
+    near = [0.0, *(own for own in parts.values() if own < fastest)]
+    if min(abs(order - own) for own in near) > LOW:
+        return f"it may be order {other:g}"
+    several = (n * fastest for n in range(2, FASTEST + 1))
+    own = next((own for own in several if sampling.alike(own, order)), None)
+    return "" if own is None else f"it may be order {own:.5g}, a multiple of {fastest:.5g}"
