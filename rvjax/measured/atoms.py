@@ -114,9 +114,9 @@ class Model:
         left = left[:, size > math.sqrt(COLLINEAR)]
         return score(self.residual - left @ (left.T @ self.residual), self.least)
 
-    def part(self, *kinds: str) -> np.ndarray:
-        """Fitted curve of the atoms of some kinds (n,)."""
-        own = np.array([k >= 0 and self.atoms[k].kind in kinds for k in self.owner])
+    def curve(self, atoms: Sequence[Atom]) -> np.ndarray:
+        """Fitted curve of some atoms (n,)."""
+        own = np.array([k >= 0 and self.atoms[k] in atoms for k in self.owner])
         return np.asarray(self.matrix[:, own] @ (self.inverse @ (self.basis.T @ self.value))[own])
 
     def size(self, atom: Atom) -> tuple[np.ndarray, np.ndarray]:

@@ -14,6 +14,7 @@ from rvjax.measured.search import LOW
 
 SPARE = 4  # places for every number that is fitted
 WEAK = 3.0  # times the noise of a whole revolution: an order that the stroke does not determine
+SIDE = 3  # distance of an order from one of a part at which housings and mountings cause orders
 CHANCE = 0.001
 """Chance that at least one of the stored orders is noise."""
 
@@ -46,11 +47,9 @@ def fitted(judged: Judged, most: int) -> Fitted:
         ValueError: too few readings.
     """
     orders = _orders(judged, most)
-    found = identify.orders(judged.angle, judged.error, orders)
-    taken = [atom.at for atom in judged.found("order", "line")]
-    top = min(judged.sampling.finest, len(judged.angle) / (2 * max(judged.sampling.turns, 1e-9)), 3.0 * most)
+    found = identify.orders(judged.angle, judged.error - _beyond(judged, most), orders)
     white_sd = found.residual_sd
-    share, count = level.factor(judged.model.angle, judged.model.residual, white_sd, orders, taken, top)
+    share, count = level.factor(judged.model, white_sd, orders, judged.parts.values(), _top(judged, most))
     plain = found.sd
     sd = np.sqrt(found.sd**2 * share + _of_drift(judged, orders) ** 2)
     tries = max(len(orders), 1) / CHANCE
@@ -65,6 +64,18 @@ def fitted(judged: Judged, most: int) -> Fitted:
             unsure[int(orders[k])] = why
     seen = np.array([k for k in strong if int(orders[k]) not in unsure], int)
     return Fitted(found, seen, unsure, float(np.max(share, initial=1.0)))
+
+
+def _top(judged: Judged, most: int) -> float:
+    """Highest order whose noise is used for the level."""
+    density = len(judged.angle) / (2 * max(judged.sampling.turns, 1e-9))
+    return min(judged.sampling.finest, density, 1.5 * most)
+
+
+def _beyond(judged: Judged, most: int) -> np.ndarray:
+    """Curve of the orders beyond the highest one (n,)."""
+    model, kept = judged.model, np.isin(judged.model.angle, judged.angle)
+    return model.curve([atom for atom in model.atoms if atom.kind == "order" and atom.at > most])[kept]
 
 
 def _orders(judged: Judged, most: int) -> np.ndarray:
@@ -111,9 +122,9 @@ def doubt(judged: Judged, order: float) -> str:
     other = sampling.repeat - order
     if other > FASTEST * fastest:
         return ""
-    near = [0.0, *(own for own in parts.values() if own < fastest)]
-    if min(abs(order - own) for own in near) > LOW:
+    near = [own for own in parts.values() if own == round(own) and own < fastest - 1]
+    if order > LOW and min((abs(order - own) for own in near), default=math.inf) > SIDE:
         return f"it may be order {other:g}"
-    several = (n * fastest for n in range(2, FASTEST + 1))
+    several = (n * own for n in range(2, FASTEST + 1) for own in (fastest, fastest - 1))  # also seen from the output
     own = next((own for own in several if sampling.alike(own, order)), None)
-    return "" if own is None else f"it may be order {own:.5g}, a multiple of {fastest:.5g}"
+    return "" if own is None else f"it may be order {own:.5g}, a harmonic of the fastest part"

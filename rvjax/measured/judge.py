@@ -109,8 +109,8 @@ def _judged(run: Run, own: tuple[tuple[str, float], ...]) -> Judged:
         bad = []
     made = Judged(run, angle, error, np.zeros(len(angle)), sampling, model, parts, rows)
     _check_steps(made)
-    drift = model.part(*DRIFTS)
-    taken = drift - np.mean(drift) + model.part("line")
+    drift = model.curve(made.found(*DRIFTS))
+    taken = drift - np.mean(drift) + model.curve(made.found("line"))
     kept = np.delete(np.arange(len(angle)), bad)
     if not bad and not made.found("line", *DRIFTS):
         return made

@@ -10,58 +10,65 @@ from collections.abc import Iterable
 import numpy as np
 from scipy import optimize
 
+from rvjax.measured.atoms import Model
 from rvjax.measured.sampling import spectrum
 
-KNOTS = 3  # of a level, equal distances of the logarithm of the order
-LOWEST = 7.0  # order from which the level is read; below it is extended, since mountings cause the lowest orders
-STEEPEST = -2.5  # power of the order; noise that adds up from reading to reading has -2
-COLOURED = 16.3  # likelihood ratio of noise without memory: chance of 0.001 with three degrees of freedom
+KNOTS = 4  # of a level, equal distances of the logarithm of the order
+LOWEST = 5.0  # order from which the level is read; below it is extended, since mountings cause the lowest orders
+STEEPEST = -2.0  # power of the order; noise that adds up from reading to reading has -2
+COLOURED = 6.25  # likelihood ratio of noise without memory: chance of 0.1 with three degrees of freedom
 FEWEST = 16  # orders that determine a level
 OUTLIER = 2.0  # logarithm of a power beyond which it counts as content, not as noise
-EULER = float(np.euler_gamma)
+EULER, MEDIAN = float(np.euler_gamma), math.log(math.log(2))  # of the logarithm of an exponential number
 
 
 def factor(
-    angle: np.ndarray, residual: np.ndarray, sd: float, orders: np.ndarray, contents: Iterable[float], top: float
+    model: Model, sd: float, orders: np.ndarray, parts: Iterable[float], top: float
 ) -> tuple[np.ndarray, float]:
     """Power of the noise at each order, of that of independent readings, at least 1; and how many orders set the level.
 
     Args:
-        angle: ascending, rad (n,).
-        residual: of the contents (n,).
-        sd: of the residual.
+        model: of the curve.
+        sd: of a reading about all orders that are fitted.
         orders: whose noise is required (k,).
-        contents: orders that the residual does not contain any more.
+        parts: orders that the measured object causes.
         top: highest order of the noise that is used.
     """
     white = np.ones(len(orders)), math.inf
-    span = float(np.ptp(angle)) * len(angle) / max(len(angle) - 1, 1)
+    span = float(np.ptp(model.angle)) * len(model.angle) / max(len(model.angle) - 1, 1)
     step = 2 * math.pi / span
     if not sd > 0 or top < 2 * LOWEST:
         return white
+    named = list(parts)
+    weak = [a for a in model.atoms if a.kind == "order" and LOWEST <= a.at <= 2 * LOWEST and a.at not in named]
+    residual = model.residual + model.curve(weak)  # content among the lowest orders of noise is an outlier there
+    taken = np.array([-1.0, *(a.at for a in model.atoms if a.kind in ("order", "line") and a not in weak)])
     bins = np.arange(math.ceil(LOWEST / step), math.floor(top / step) + 1) * step
-    taken = np.array([*contents, -1.0])
     bins = bins[np.min(np.abs(bins[:, None] - taken), axis=1) > 0.9 * step] if len(bins) else bins
     if len(bins) < FEWEST:
         return white
-    order, size = spectrum(angle, residual, top + step)
-    power = np.interp(bins, order, np.abs(size) ** 2) / (len(angle) * sd**2)  # exponential, mean 1
+    order, size = spectrum(model.angle, residual, top + step)
+    power = np.interp(bins, order, np.abs(size) ** 2) / (len(residual) * sd**2)  # exponential, mean 1
     knots = np.linspace(math.log(bins[0]), math.log(bins[-1]), KNOTS)
-    log_power = np.log(np.maximum(power, 1e-12)) + EULER
+    log_power = np.log(np.maximum(power, 1e-12))
+    hats = np.array([np.interp(np.log(bins), knots, row) for row in np.eye(KNOTS)]).T
 
-    def level(numbers: np.ndarray, at: np.ndarray) -> np.ndarray:
-        """Logarithm of the level: straight lines between the knots, the first one extended."""
-        slope = np.clip((numbers[1] - numbers[0]) / (knots[1] - knots[0]), STEEPEST, 0.0)
-        below = np.minimum(at - knots[0], 0.0)
-        return np.asarray(np.interp(at, knots, numbers) + slope * below)
+    def cost(numbers: np.ndarray, shape: np.ndarray) -> tuple[float, np.ndarray]:
+        """Minus the logarithm of the likelihood; a power far above the level counts as content."""
+        off = log_power - shape @ numbers
+        held = np.exp(np.minimum(off, OUTLIER))
+        inside = off < OUTLIER
+        return float(np.sum(held - np.minimum(off, OUTLIER))), shape.T @ (inside * (1 - held))
 
-    def cost(numbers: np.ndarray) -> float:
-        off = log_power - EULER - level(numbers, np.log(bins))
-        return float(np.sum(np.exp(np.minimum(off, OUTLIER)) - np.minimum(off, OUTLIER)))
+    def fit(shape: np.ndarray) -> optimize.OptimizeResult:
+        first = np.full(shape.shape[1], np.median(log_power) - MEDIAN)
+        near = optimize.least_squares(lambda x: shape @ x - log_power - EULER, first, lambda _: shape, loss="soft_l1")
+        return optimize.minimize(cost, near.x, args=(shape,), jac=True, method="BFGS")
 
-    start = np.full(KNOTS, np.median(log_power))
-    found = optimize.minimize(cost, start, method="Nelder-Mead", options={"maxiter": 600, "fatol": 1e-3})
-    flat = optimize.minimize_scalar(lambda x: cost(np.full(KNOTS, x)), bounds=(-8, 8), method="bounded")
+    found, flat = fit(hats), fit(np.ones((len(bins), 1)))
     if 2 * (flat.fun - found.fun) < COLOURED:
         return white
-    return np.maximum(np.exp(level(found.x, np.log(orders))), 1.0), len(bins) / KNOTS
+    at = np.log(orders)
+    slope = np.clip((found.x[1] - found.x[0]) / (knots[1] - knots[0]), STEEPEST, 0.0)
+    size = np.interp(at, knots, found.x) + slope * np.minimum(at - knots[0], 0.0)
+    return np.maximum(np.exp(size), 1.0), len(bins) / KNOTS

@@ -17,7 +17,7 @@ is at 2 ln(1000/0.001) = 28."""
 MOST = 60  # atoms
 FREE = 4  # readings for each number of a model
 LOW = 6  # orders of mountings and housings, which are in the first model
-TIMES = (0.05, 0.1, 0.2, 0.4, 0.8)  # angle constants of a warm-up, of the stroke
+TIMES = (0.01, 3.0)  # least and largest angle constant of a warm-up, of the stroke
 NOTHING = 6.0  # square of an order over that of its noise: left out without a second look
 NEAR = 1e-3  # a line that is closer to a whole number is one
 
@@ -38,19 +38,59 @@ def content(
     top = min(highest, math.nextafter(sampling.finest, 0))
     room = (len(angle) - 1) // FREE
     known = [order for order in dict.fromkeys(parts.values()) if order == round(order) and order < top]
-    low = range(1, LOW + 1) if sampling.turns > 0.9 else (1,)
-    first = list(dict.fromkeys([1, *known, *low]))[: max(room // 4, 1 if room > 1 else 0)]
-    model = Model(angle, value, [Atom("order", float(order)) for order in first if order < top])
+    starts = [[1, *known]]
+    if sampling.turns > 0.9:
+        starts += [[1, *known, *range(2, LOW + 1)]]
+    found = []
+    for start in starts:
+        first = [order for order in dict.fromkeys(start) if order < top][: max(room // 4, 1 if room > 1 else 0)]
+        model = Model(angle, value, [Atom("order", float(order)) for order in first])
+        found.append(_smooth(_grown(model, sampling, parts, top, timed), sampling, known))
+    return min(found, key=_loss)
+
+
+def _grown(model: Model, sampling: Sampling, parts: Mapping[str, float], top: float, timed: bool) -> Model:
+    """The model with all atoms that are proved, one after the other, and without the superfluous ones."""
+    first = [atom.at for atom in model.atoms]
+    room = (len(model.angle) - 1) // FREE
     while len(model.atoms) < MOST and len(model.owner) + 3 < room:
         found = _best(model, sampling, parts, top, timed)
         if found is None:
             break
         several = [Atom("order", float(math.floor(found.at) + k)) for k in (0, 1)] if found.kind == "pair" else [found]
-        more = Model(angle, value, [*model.atoms, *(a for a in several if a not in model.atoms)])
-        if more.score >= model.score:
+        more = Model(model.angle, model.value, [*model.atoms, *(a for a in several if a not in model.atoms)])
+        more = _thinned(more, keep=first)
+        if _loss(more) >= _loss(model):
             break
-        model = _thinned(more, keep=first)
+        model = more
     return _thinned(model, keep=[1])
+
+
+def _loss(model: Model) -> float:
+    """Score and the price of its numbers."""
+    return model.score + NUMBER * sum(atom.numbers for atom in model.atoms)
+
+
+def _smooth(model: Model, sampling: Sampling, known: Sequence[float]) -> Model:
+    """The model with one drift in place of drift and low orders, where that says the same with fewer numbers."""
+    if not any(atom.kind in ("drift", "warm-up") for atom in model.atoms):
+        return model
+    low = [float(k) for k in range(2, LOW + 1) if k not in known]
+    smooth = [a for a in model.atoms if a.kind in ("drift", "warm-up") or (a.kind == "order" and a.at in low)]
+    less = Model(model.angle, model.value, [atom for atom in model.atoms if atom not in smooth])
+    others = [Model(model.angle, model.value, [*less.atoms, one]) for one in (Atom("drift"), _warm_up(less, sampling))]
+    return min(model, *others, key=_loss)
+
+
+def _warm_up(model: Model, sampling: Sampling) -> Atom:
+    """The warm-up that explains most."""
+    found = optimize.minimize_scalar(
+        lambda log: model.more(Atom("warm-up", math.exp(log) * sampling.stroke)),
+        bounds=(math.log(TIMES[0]), math.log(TIMES[1])),
+        method="bounded",
+        options={"xatol": 1e-3},
+    )
+    return Atom("warm-up", math.exp(float(found.x)) * sampling.stroke)
 
 
 def _best(
@@ -77,7 +117,7 @@ def _candidates(
             yield _step(model, values)
     if timed:
         yield Atom("drift")
-        yield from (Atom("warm-up", share * sampling.stroke) for share in TIMES)
+        yield _warm_up(model, sampling)
     for name, order in parts.items():
         if order != round(order) and order < top:
             yield Atom("line", order, name)
