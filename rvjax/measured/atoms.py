@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from rvjax._ground.linear import svd
+
 COLLINEAR = 1e-8  # square of the share of a column that others do not explain
 LEAST_NOISE = 1e-9  # of the spread of a curve: rounding
 
@@ -98,7 +100,7 @@ class Model:
         matrix = np.concatenate([np.ones((len(angle), 1)), *(a.columns(angle) for a in atoms)], axis=1)
         self.owner = np.array([-1, *(k for k, a in enumerate(atoms) for _ in range(a.columns(angle[:2]).shape[1]))])
         self.matrix = matrix / np.linalg.norm(matrix, axis=0)
-        left, size, right = np.linalg.svd(self.matrix, full_matrices=False)
+        left, size, right = svd(self.matrix)
         kept = size > math.sqrt(COLLINEAR) * size[0]
         self.basis, self.inverse = left[:, kept], right[kept].T / size[kept]
         self.residual = value - self.basis @ (self.basis.T @ value)
@@ -110,7 +112,7 @@ class Model:
         columns = atom.columns(self.angle)
         columns = columns / np.linalg.norm(columns, axis=0)
         own = columns - self.basis @ (self.basis.T @ columns)
-        left, size, _ = np.linalg.svd(own, full_matrices=False)
+        left, size, _ = svd(own)
         left = left[:, size > math.sqrt(COLLINEAR)]
         return score(self.residual - left @ (left.T @ self.residual), self.least)
 

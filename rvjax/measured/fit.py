@@ -81,9 +81,10 @@ def _beyond(judged: Judged, most: int) -> np.ndarray:
 def _orders(judged: Judged, most: int) -> np.ndarray:
     """Orders that are fitted: all that the number of places admits, and those that were found."""
     points = len(judged.angle)
-    few = min(most, (points // SPARE - 1) // 2) if judged.sampling.whole else 1
+    spread = points > 1 and judged.sampling.stroke > 0
+    few = min(most, (points // SPARE - 1) // 2) if judged.sampling.whole or not spread else 1
     own = [int(atom.at) for atom in judged.found("order") if atom.at <= most]
-    if 2 * len({*own, *range(1, few + 1)}) + 1 > points // 2:
+    if few > 1 and spread and 2 * len({*own, *range(1, few + 1)}) + 1 > points // 2:
         few = 1
     return np.array(sorted({*own, *range(1, few + 1)}), int)
 

@@ -93,8 +93,8 @@ def read(
         if len(kinds) > 1:
             (first, one), (second, other) = kinds.items()
             raise ValueError(f"{other}: holds {second}, {one} holds {first}; identify them one after the other")
-        for at, rows in _groups(table):
-            items.append(KINDS[held].read(table, at, rows))
+        for at, every in _groups(table):
+            items += [KINDS[held].read(table, own, rows) for own, rows in KINDS[held].passes(table, at, every)]
     return Measured(next(iter(kinds)), tuple(items))
 
 
