@@ -1,5 +1,6 @@
 """Section on a measurement, of every kind of bench file: what was found in it, and what limits the result."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 
 from rvjax.measured import Finding
@@ -24,15 +25,13 @@ def section(found: Mapping[str, Sequence[Finding]], figures: Sequence[Figure] = 
     columns: list[Column] = [Text("measured"), Text("property"), Column("value"), Text("remark", wraps=True)]
     columns = columns if len(found) > 1 else columns[1:]
     short = [row if len(found) > 1 else row[1:] for row in shown]
+    plain = [row for row, f in zip(short, itertools.chain(*found.values())) if not f.warning]
     every = [Text("measured"), Text("property"), Column("value"), Text("unit"), Text("remark")]
     units = [[*row[:3], row[2].shown[0] if isinstance(row[2], Quantity) else "", row[3]] for row in rows]
     content: list[Content] = [Table("measurement", every, units, on=frozenset({CSV}))]
     if shown:
-        content.append(Table("measurement", columns, short, "The measurement:", on=frozenset({TEXT})))
+        content.append(Table("measurement", columns, plain, "The measurement:", on=frozenset({TEXT})))
         content.append(Table("measurement", columns, short, on=frozenset({PAGE})))
-    said = warnings(found)
-    if said and not shown:
-        content.append(Note("\n".join(said)))
     return [Section("The measurement", (*content, *figures))]
 
 

@@ -96,7 +96,7 @@ class Model:
             atoms: beside the mean; columns that others explain are left out.
         """
         self.angle, self.value, self.atoms = angle, value, tuple(atoms)
-        self.least = LEAST_NOISE * float(np.std(value)) + 1e-300
+        self.least = LEAST_NOISE * float(np.std(value)) + 1e-150
         matrix = np.concatenate([np.ones((len(angle), 1)), *(a.columns(angle) for a in atoms)], axis=1)
         self.owner = np.array([-1, *(k for k, a in enumerate(atoms) for _ in range(a.columns(angle[:2]).shape[1]))])
         self.matrix = matrix / np.linalg.norm(matrix, axis=0)

