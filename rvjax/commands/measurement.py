@@ -45,9 +45,9 @@ def warnings(found: Mapping[str, Sequence[Finding]]) -> list[str]:
     for name, several in found.items():
         for finding in several:
             if finding.warning:
-                size = "" if finding.unit == "-" else f"{_quantity(finding).text('.3g')}, "
+                size = finding.name if finding.unit == "-" else f"{finding.name}, {_quantity(finding).text('.3g')}"
                 lead = f"{name}: " if name and len(found) > 1 else ""
-                lines.append(f"warning: {lead}{finding.name}: {size}{finding.text}")
+                lines.append(f"warning: {lead}{size}: {finding.text}")
     left = len(lines) - MOST_WARNINGS
     return lines if left <= 0 else [*lines[:MOST_WARNINGS], f"warning: {left} more; the file measurement.csv has all"]
 
@@ -58,9 +58,7 @@ def as_data(several: Sequence[Finding]) -> list[dict[str, object]]:
     Args:
         several: of one item.
     """
-    return [
-        {"name": f.name, "value": f.value, "unit": f.unit, "text": f.text, "warning": f.warning} for f in several
-    ]
+    return [{"name": f.name, "value": f.value, "unit": f.unit, "text": f.text, "warning": f.warning} for f in several]
 
 
 def _quantity(finding: Finding) -> Quantity:

@@ -8,6 +8,7 @@ import numpy as np
 from rvjax.measured.atoms import memory
 from rvjax.measured.judge import DRIFTS, Judged
 from rvjax.measured.kind import Finding
+from rvjax.measured.search import LOW
 from rvjax.units import arcsec, deg
 
 ENDS = 40  # part of the readings that is an end of the curve, one in
@@ -33,7 +34,9 @@ def _sampling(judged: Judged) -> Iterator[Finding]:
     covered = f"{sampling.stroke / deg:.4g} deg of 360 are measured; the table continues its orders over the rest"
     yield Finding("stroke", sampling.stroke, "rad", "" if sampling.whole else covered, not sampling.whole)
     if math.isfinite(sampling.repeat):
-        equal = f"{sampling.repeat:.5g} equal steps per revolution: order k and order {sampling.repeat:.5g} - k are alike"
+        equal = (
+            f"{sampling.repeat:.5g} equal steps per revolution: order k and order {sampling.repeat:.5g} - k are alike"
+        )
         yield Finding("highest resolved order", float(math.ceil(sampling.finest) - 1), "-", equal)
 
 
@@ -93,12 +96,14 @@ def _bad(judged: Judged) -> Iterator[Finding]:
 
 
 def _alike(judged: Judged) -> Iterator[Finding]:
-    """Parts whose orders are others at these angles."""
+    """Parts whose orders are others at these angles; a warning where such an order may be taken for one of a part."""
     sampling, seen = judged.sampling, dict[float, str]()
     for name, order in judged.parts.items():
         if order >= sampling.finest:
             seen.setdefault(order, name)
+    whole = [0.0, *(order for order in judged.parts.values() if order == round(order))]
     for order, name in seen.items():
         low = judged.looks_like(order)
         text = f"{sampling.points} points: order {order:.5g} ({name}) looks like {low:.4g}"
-        yield Finding("orders alike", low, "-", text, True)
+        near = order in whole or min(abs(low - own) for own in whole) < LOW + 1
+        yield Finding("orders alike", low, "-", text, near)

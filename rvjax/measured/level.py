@@ -22,9 +22,7 @@ OUTLIER = 2.0  # logarithm of a power beyond which it counts as content, not as 
 EULER, MEDIAN = float(np.euler_gamma), math.log(math.log(2))  # of the logarithm of an exponential number
 
 
-def factor(
-    model: Model, sd: float, orders: np.ndarray, parts: Iterable[float], top: float
-) -> tuple[np.ndarray, float]:
+def factor(model: Model, sd: float, orders: np.ndarray, parts: Iterable[float], top: float) -> tuple[np.ndarray, float]:
     """Power of the noise at each order, of that of independent readings, at least 1; and how many orders set the level.
 
     Args:

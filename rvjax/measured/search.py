@@ -96,9 +96,7 @@ def _warm_up(model: Model, sampling: Sampling) -> Atom:
     return Atom("warm-up", math.exp(float(found.x)) * sampling.stroke)
 
 
-def _best(
-    model: Model, sampling: Sampling, parts: Mapping[str, float], top: float, timed: bool
-) -> Atom | None:
+def _best(model: Model, sampling: Sampling, parts: Mapping[str, float], top: float, timed: bool) -> Atom | None:
     """The atom that explains most for its numbers; None if none is proved."""
     gains = {}
     for atom in _candidates(model, sampling, parts, top, timed):

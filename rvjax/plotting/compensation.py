@@ -34,9 +34,7 @@ def before_and_after(
     return axes
 
 
-def contents(
-    angle: Numbers, error: Numbers, fitted: Numbers, *, title: str = "", axes: Axes | None = None
-) -> Axes:
+def contents(angle: Numbers, error: Numbers, fitted: Numbers, *, title: str = "", axes: Axes | None = None) -> Axes:
     """A measured error over the output angle, the curve of its contents, and below it the rest.
 
     Args:

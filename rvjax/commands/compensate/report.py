@@ -48,6 +48,7 @@ def report(inputs: Inputs, found: Corrections) -> Report:
             *(_figure(curve, end) for curve, end in zip(curves, _ends(curves))),
             *measurement.section(found_in, [_measured(curve, end) for curve, end in zip(curves, _ends(curves))]),
         ),
+        page="",
         data=_data(inputs, found, left, found_in),
         files={"study.toml": study.text.encode(), "data.csv": Path(inputs.data).read_bytes()}
         | {f"table{end}.csv": exported(rows, ".csv") for rows, end in zip(found.tables, _ends(curves))},
@@ -88,7 +89,9 @@ def _curves(curves: Sequence[Curve], left: Sequence[Left]) -> Table:
         stored = " ".join(map(str, made.order.tolist())) or "none"
         later = curve.held_out and curve.held_out[1]
         swing = Quantity.of(stays.peak_to_peak, **ARCSEC)
-        rows.append([curve.label or "all", stored, curve.before, curve.after, later, Quantity.of(stays.rms, **ARCSEC), swing])
+        rows.append(
+            [curve.label or "all", stored, curve.before, curve.after, later, Quantity.of(stays.rms, **ARCSEC), swing]
+        )
     columns: list[Column] = [
         Text("curve"),
         Text("orders stored"),

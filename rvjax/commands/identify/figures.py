@@ -29,7 +29,11 @@ def figures(found: Identified) -> Iterator[Figure]:
     for k, band in enumerate(found.bands[:RUNS], 1):
         caption = f"Measured and identified transmission error, {band.run.at.text()}"
         yield Figure(f"curve_{k}", caption, partial(_curve, band))
-        yield Figure(f"measurement_{k}", f"Readings, their contents and the rest, {band.run.at.text()}", partial(_contents, found, k - 1))
+        yield Figure(
+            f"measurement_{k}",
+            f"Readings, their contents and the rest, {band.run.at.text()}",
+            partial(_contents, found, k - 1),
+        )
     if inputs.kind == "curve":
         yield Figure("orders", "Residual of each order, and the noise", partial(_orders, found))
     if inputs.kind == "loop" and isinstance(loop := inputs.items[0][0], Loop):
