@@ -1,10 +1,10 @@
-"""Section on a measurement, of every kind of bench file: what was found in it, and what limits the result."""
+"""Section on a measurement, for every kind of bench file: its properties, and what limits the result."""
 
 import itertools
 from collections.abc import Mapping, Sequence
 
 from rvjax.measured import Finding
-from rvjax.render import CSV, PAGE, TEXT, Column, Content, Figure, Note, Quantity, Section, Table, Text
+from rvjax.render import CSV, PAGE, TEXT, Column, Content, Figure, Quantity, Section, Table, Text
 
 MOST = 4  # items whose findings the text and the page show; the file has all
 LARGE = 0.02  # rad: angles above are read in deg, others in arcsec

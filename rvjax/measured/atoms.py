@@ -49,13 +49,11 @@ class Atom:
             return np.concatenate(list(both), axis=1)
         row = np.arange(len(angle))
         gone = (angle - angle[0]) / max(float(np.ptp(angle)), 1e-300)
-        column = {
-            "drift": lambda: gone,
-            "warm-up": lambda: -np.expm1(-(angle - angle[0]) / self.at),
-            "step": lambda: (row >= self.at).astype(float),
-            "glitch": lambda: (row == self.at).astype(float),
-        }[self.kind]()
-        return np.asarray(column)[:, None]
+        if self.kind == "drift":
+            return gone[:, None]
+        if self.kind == "warm-up":
+            return np.asarray(-np.expm1(-(angle - angle[0]) / self.at))[:, None]
+        return np.asarray(row >= self.at if self.kind == "step" else row == self.at, float)[:, None]
 
 
 def memory(residual: np.ndarray) -> float:
@@ -76,16 +74,7 @@ def score(residual: np.ndarray, least: float) -> float:
 
 
 class Model:
-    """Atoms that are fitted to a curve.
-
-    Attributes:
-        angle: ascending, rad (n,).
-        value: (n,).
-        atoms: beside the mean.
-        basis: orthonormal columns (n, p).
-        residual: (n,).
-        score: of the residual.
-    """
+    """Atoms that are fitted to a curve `value` at `angle`, with `basis` (orthonormal columns), `residual` and `score`."""
 
     def __init__(self, angle: np.ndarray, value: np.ndarray, atoms: Sequence[Atom]) -> None:
         """Fit atoms.
@@ -93,7 +82,7 @@ class Model:
         Args:
             angle: ascending, rad (n,).
             value: (n,).
-            atoms: beside the mean; columns that others explain are left out.
+            atoms: in addition to the mean; columns that others explain are not used.
         """
         self.angle, self.value, self.atoms = angle, value, tuple(atoms)
         self.least = LEAST_NOISE * float(np.std(value)) + 1e-150

@@ -48,7 +48,7 @@ class Curve(Kind):
             yield replace(at, direction="forward" if rises else "backward", stated=True), rows[known][leg]
 
     def findings(self, item: Item, parts: Mapping[str, float]) -> tuple[Finding, ...]:
-        """Points, stroke, closure, drift, noise, and orders that cannot be told apart."""
+        """Points, stroke, closure, drift, noise, and orders that are not distinguishable."""
         return findings(judge(item, parts)) if isinstance(item, Run) else ()
 
 

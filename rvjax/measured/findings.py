@@ -1,4 +1,4 @@
-"""What a curve is, in words and numbers: points, stroke, closure, drift, noise, orders that cannot be told apart."""
+"""Findings on a curve: points, stroke, closure, drift, noise, orders that are not distinguishable."""
 
 import math
 from collections.abc import Iterator

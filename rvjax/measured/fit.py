@@ -102,7 +102,7 @@ def _of_drift(judged: Judged, orders: np.ndarray) -> np.ndarray:
 
 
 def doubt(judged: Judged, order: float) -> str:
-    """Why an order may be another one; "" if it is what it seems.
+    """Name the order that this one may be; "" if it is not another one.
 
     Args:
         judged: the curve.
@@ -127,5 +127,5 @@ def doubt(judged: Judged, order: float) -> str:
     if order > LOW and min((abs(order - own) for own in near), default=math.inf) > SIDE:
         return f"it may be order {other:g}"
     several = (n * own for n in range(2, FASTEST + 1) for own in (fastest, fastest - 1))  # also seen from the output
-    own = next((own for own in several if sampling.alike(own, order)), None)
-    return "" if own is None else f"it may be order {own:.5g}, a harmonic of the fastest part"
+    alias = next((own for own in several if sampling.alike(own, order)), None)
+    return "" if alias is None else f"it may be order {alias:.5g}, a harmonic of the fastest part"

@@ -1,4 +1,4 @@
-"""What the readings of a curve prove: the error without drift, lines and bad readings, and how far orders are known."""
+"""Evaluation of a measured curve: its contents, and the error without drift, lines and bad readings."""
 
 import functools
 import math
@@ -23,7 +23,7 @@ FEWEST = 12  # readings of a search
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """A curve, and what its readings prove.
+    """A curve and its contents.
 
     Attributes:
         run: as measured.

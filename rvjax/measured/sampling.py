@@ -1,6 +1,7 @@
 """Sampling of a curve: passes of the angle, repeated readings, stroke, and the order at which the angles repeat."""
 
 import functools
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -27,8 +28,8 @@ class Sampling:
         readings: number of readings, not less than places.
         stroke: range of the angles and one step, rad.
         step: usual distance of two places, rad.
-        repeat: order at which the angles repeat, such as the number of equal steps of a revolution; inf if there is none
-            in the range that was searched.
+        repeat: order at which the angles repeat, such as the number of equal steps of a revolution; inf if there
+            is none in the range that was searched.
     """
 
     points: int
@@ -44,7 +45,7 @@ class Sampling:
 
     @property
     def whole(self) -> bool:
-        """Whether it covers a revolution."""
+        """True if it covers a revolution."""
         return self.stroke >= WHOLE
 
     @property
@@ -53,7 +54,7 @@ class Sampling:
         return self.repeat / 2
 
     def alike(self, one: float, other: float) -> bool:
-        """Whether two different orders are the same numbers at these angles.
+        """Compare two different orders: True if they are the same numbers at these angles.
 
         Args:
             one: per revolution.
@@ -86,12 +87,12 @@ def legs(angle: np.ndarray) -> list[slice]:
                 break
     bounds = [*turns, len(angle) - 1]
     travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(angle)))])
-    for start, end in zip(bounds, bounds[1:]):
+    for start, end in itertools.pairwise(bounds):
         total = travel[end] - travel[start]
         if total > 0 and abs(angle[end] - angle[start]) < STRAIGHT * total:
             return [slice(0, len(angle))]
     starts = [0, *(k + 1 for k in turns[1:]), len(angle)]
-    return [slice(a, b) for a, b in zip(starts, starts[1:]) if b - a > 1]
+    return [slice(a, b) for a, b in itertools.pairwise(starts) if b - a > 1]
 
 
 def places(angle: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

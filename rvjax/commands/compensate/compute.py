@@ -24,7 +24,7 @@ class Curve:
     """One measured curve.
 
     Attributes:
-        judged: what its readings prove.
+        judged: the curve and its contents.
         fit: its orders, and those that a table may hold.
         correction: of it.
         before: rms without drift, mean and an order 1 that is not stored, rad.
