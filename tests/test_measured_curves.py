@@ -4,6 +4,7 @@ Oracle: the curve from which the readings are made. "Rest" is the rms of the cur
 """
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -151,9 +152,10 @@ def test_low_orders_stay_beside_a_drift():
 def test_a_lost_step_is_refused_with_its_place(size, at):
     angle = equal(720)
     error = curve(angle * deg) + size * (angle > at) + noise(720)
-    with pytest.raises(ValueError, match=rf"a.csv.*jumps by {size}(\.\d+)? arcsec at {at + 0.5} deg \(row") as caught:
+    where = rf"a.csv.*jumps by .* arcsec at {at + 0.5} deg \(row {int(2 * at) + 3}\)"
+    with pytest.raises(ValueError, match=where) as caught:
         judge(run(angle, error, rows=np.arange(720) + 2), PARTS)
-    assert f"row {int(2 * at) + 3}" in str(caught.value)
+    assert float(str(caught.value).split("jumps by ")[1].split()[0]) == pytest.approx(size, abs=0.15)
 
 
 @pytest.mark.parametrize("rows", [(100,), (0,), (719,), (50, 51, 400)])
@@ -375,9 +377,9 @@ def test_the_report_names_what_was_found(bench, capsys):
     for line in ("warning: drift per revolution, ", "warning: order 66.", "warning: bad reading, 500 arcsec: row 302"):
         assert line in text
     assert "The measurement:" in text and "highest resolved order" in text
-    found = json.loads(open("out/result.json").read())["curves"][0]["measurement"]
+    found = json.loads(Path("out/result.json").read_text())["curves"][0]["measurement"]
     assert {one["name"] for one in found} >= {"points", "stroke", "closure", "drift per revolution", "bad reading"}
-    page = open("out/report.html").read()
+    page = Path("out/report.html").read_text()
     assert "<h2>The measurement</h2>" in page and "drift per revolution" in page
 
 
@@ -399,7 +401,7 @@ def test_identify_is_not_moved_by_a_drift_or_repeated_readings(bench, capsys, di
     for add in (False, True):
         angle = np.repeat(equal(180), 3) if add and disturbed == "repeated" else equal(720)
         slope = 60 if add and disturbed == "drift" else 0
-        bench(angle, curve(angle * deg, {40: 3.0}) + slope * angle / 360 + 0.3 * noise(len(angle)))
+        bench(angle, curve(angle * deg, {40: 3j}) + slope * angle / 360 + 0.3 * noise(len(angle)))
         code, text, _ = told(capsys, "identify", "my.toml", "curve.csv", "--results", f"out{add}", "--format", "json")
         found = json.loads(text)
         values.append(found["value"]["crank_eccentricity[0,0]"])

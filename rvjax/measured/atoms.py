@@ -74,7 +74,7 @@ def score(residual: np.ndarray, least: float) -> float:
 
 
 class Model:
-    """Atoms that are fitted to a curve `value` at `angle`, with `basis` (orthonormal columns), `residual` and `score`."""
+    """Atoms fitted to a curve `value` at `angle`, with `basis` (orthonormal columns), `residual` and `score`."""
 
     def __init__(self, angle: np.ndarray, value: np.ndarray, atoms: Sequence[Atom]) -> None:
         """Fit atoms.

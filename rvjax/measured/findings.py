@@ -54,7 +54,7 @@ def _closure(judged: Judged) -> Iterator[Finding]:
 
 
 def _drift(judged: Judged) -> Iterator[Finding]:
-    model, turns = judged.model, judged.sampling.turns
+    model, turns = judged.model, float(np.ptp(judged.model.angle)) / (2 * math.pi)
     for atom in judged.found(*DRIFTS):
         number, covariance = model.size(atom)
         size, sd = float(number[0]), judged.noise * math.sqrt(float(covariance[0, 0]))

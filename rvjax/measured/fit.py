@@ -53,7 +53,8 @@ def fitted(judged: Judged, most: int) -> Fitted:
     plain = found.sd
     sd = np.sqrt(found.sd**2 * share + _of_drift(judged, orders) ** 2)
     tries = max(len(orders), 1) / CHANCE
-    limit = math.log(tries) if math.isinf(count) else count * math.expm1(math.log(tries) / count)
+    # Power of noise over the mean of `count` others: beyond x with a chance of (1 + x/count)^-count.
+    limit = count * np.expm1(math.log(tries) / count)
     strong = np.flatnonzero(np.abs(found.value) ** 2 > 2 * sd**2 * limit)
     found = dataclasses.replace(found, sd=sd)
     least = white_sd * math.sqrt(2 / len(judged.angle))

@@ -18,12 +18,16 @@ LOWEST = 5.0  # order from which the level is read; below it is extended, since 
 STEEPEST = -2.0  # power of the order; noise that adds up from reading to reading has -2
 COLOURED = 6.25  # likelihood ratio of noise without memory: chance of 0.1 with three degrees of freedom
 FEWEST = 16  # orders that determine a level
+KNOWN = 1e12  # orders that determine the level of independent readings: it is that of all residuals
+REACH, LEAST = 0.6, 3  # logarithm of the order over which a level is one; fewest orders of it
 OUTLIER = 2.0  # logarithm of a power beyond which it counts as content, not as noise
 EULER, MEDIAN = float(np.euler_gamma), math.log(math.log(2))  # of the logarithm of an exponential number
 
 
-def factor(model: Model, sd: float, orders: np.ndarray, parts: Iterable[float], top: float) -> tuple[np.ndarray, float]:
-    """Power of the noise at each order, of that of independent readings, at least 1; and how many orders set the level.
+def factor(
+    model: Model, sd: float, orders: np.ndarray, parts: Iterable[float], top: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Power of the noise at each order, of that of independent readings, at least 1; and how many orders determine it.
 
     Args:
         model: of the curve.
@@ -32,7 +36,7 @@ def factor(model: Model, sd: float, orders: np.ndarray, parts: Iterable[float], 
         parts: orders that the measured object causes.
         top: highest order of the noise that is used.
     """
-    white = np.ones(len(orders)), math.inf
+    white = np.ones(len(orders)), np.full(len(orders), KNOWN)
     span = float(np.ptp(model.angle)) * len(model.angle) / max(len(model.angle) - 1, 1)
     step = 2 * math.pi / span
     if not sd > 0 or top < 2 * LOWEST:
@@ -69,4 +73,5 @@ def factor(model: Model, sd: float, orders: np.ndarray, parts: Iterable[float], 
     at = np.log(orders)
     slope = np.clip((found.x[1] - found.x[0]) / (knots[1] - knots[0]), STEEPEST, 0.0)
     size = np.interp(at, knots, found.x) + slope * np.minimum(at - knots[0], 0.0)
-    return np.maximum(np.exp(size), 1.0), len(bins) / KNOTS
+    reach = np.abs(np.log(bins) - np.maximum(at, knots[0])[:, None]) < REACH
+    return np.maximum(np.exp(size), 1.0), np.maximum(np.sum(reach, axis=1), LEAST).astype(float)

@@ -46,7 +46,8 @@ def content(
     for start in starts:
         first = [order for order in dict.fromkeys(start) if order < top][: max(room // 4, 1 if room > 1 else 0)]
         model = Model(angle, value, [Atom("order", float(order)) for order in first])
-        found.append(_smooth(_grown(model, sampling, parts, top, timed), sampling, known))
+        model = _whole(_grown(model, sampling, parts, top, timed), top)
+        found.append(_smooth(model, sampling, known))
         if all(atom.kind == "order" and atom.at in first for atom in found[-1].atoms):
             break  # nothing that low orders could explain in another way
     return min(found, key=_loss)
@@ -67,6 +68,17 @@ def _grown(model: Model, sampling: Sampling, parts: Mapping[str, float], top: fl
             break
         model = more
     return _thinned(model, keep=[1])
+
+
+def _whole(model: Model, top: float) -> Model:
+    """The model with whole orders in place of a line between them, where these say the same with fewer numbers."""
+    for line in [atom for atom in model.atoms if atom.kind == "line" and not atom.name]:
+        near = (Atom("order", float(math.floor(line.at) + k)) for k in (-1, 0, 1, 2))
+        added = [atom for atom in near if 1 <= atom.at < top and atom not in model.atoms]
+        left = [atom for atom in model.atoms if atom != line]
+        other = _thinned(Model(model.angle, model.value, [*left, *added]), keep=[1])
+        model = min(model, other, key=_loss)
+    return model
 
 
 def _loss(model: Model) -> float:
