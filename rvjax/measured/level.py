@@ -71,7 +71,8 @@ def factor(
     if 2 * (flat.fun - found.fun) < COLOURED:
         return white
     at = np.log(orders)
-    slope = np.clip((found.x[1] - found.x[0]) / (knots[1] - knots[0]), STEEPEST, 0.0)
-    size = np.interp(at, knots, found.x) + slope * np.minimum(at - knots[0], 0.0)
+    falling = np.maximum.accumulate(found.x[::-1])[::-1]  # no less at low orders than at high ones
+    slopes = (falling[1:3] - falling[0]) / (knots[1:3] - knots[0])
+    size = np.interp(at, knots, falling) + max(float(slopes.min()), STEEPEST) * np.minimum(at - knots[0], 0.0)
     reach = np.abs(np.log(bins) - np.maximum(at, knots[0])[:, None]) < REACH
     return np.maximum(np.exp(size), 1.0), np.maximum(np.sum(reach, axis=1), LEAST).astype(float)
