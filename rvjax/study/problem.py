@@ -222,11 +222,9 @@ def _check_alike(judged: Judged, wanted: Sequence[int]) -> None:
 def floor_orders(design: RVReducer, orders: Sequence[int]) -> list[int]:
     """The orders nearest to those of a study that no part of the reducer causes."""
     top = max(orders) + 200
-    parts = (design.cycloid.pin_count, design.cycloid.disc_teeth)
-    named = {0, 1, 2, 3, 4, *orders}
-    named |= {m + side for part in parts for m in range(part, top, part) for side in (-1, 0, 1)}
-    sun = float(design.ratio)  # no whole number for most gears: the orders on both sides of its multiples
-    named |= {round(n * sun) + side for n in range(1, int(top / sun) + 1) for side in (-1, 0, 1)}
+    parts = (design.cycloid.pin_count, design.cycloid.disc_teeth, float(design.ratio))  # the last one may be between
+    several = [round(n * part) for part in parts for n in range(1, int(top / part) + 1)]
+    named = {0, 1, 2, 3, 4, *orders} | {m + side for m in several for side in (-1, 0, 1)}
     free = [k for k in range(5, top) if k not in named]
     return sorted(sorted(free, key=lambda k: (min(abs(k - order) for order in orders), k))[:BESIDE])
 
