@@ -14,6 +14,7 @@ from rvjax.measured.search import LOW
 
 SPARE = 4  # places for every number that is fitted
 WEAK = 3.0  # times the noise of a whole revolution: an order that the stroke does not determine
+APART = 0.3  # distance, over the resolution of the stroke, at which a line and the order of a part are separable
 SIDE = 3  # distance of an order from one of a part at which housings and mountings cause orders
 CHANCE = 0.001
 """Chance that at least one of the stored orders is noise."""
@@ -110,9 +111,10 @@ def doubt(judged: Judged, order: float) -> str:
         order: whole number per revolution.
     """
     sampling, parts = judged.sampling, judged.parts
-    for atom in judged.found("line"):
-        if abs(atom.at - order) * sampling.turns < 1:
-            return f"order {atom.at:.5g} is next to it"
+    lines = [(abs(atom.at - order) * sampling.turns, atom.at) for atom in judged.found("line")]
+    near = sorted(line for line in lines if line[0] < 1)
+    if near and (len(near) > 1 or order not in parts.values() or near[0][0] < APART):
+        return f"order {near[0][1]:.5g} is next to it"
     if order >= sampling.finest:
         return f"it may be order {judged.looks_like(order):g}"
     if names := judged.hidden(order):
@@ -124,8 +126,8 @@ def doubt(judged: Judged, order: float) -> str:
     other = sampling.repeat - order
     if other > FASTEST * fastest:
         return ""
-    near = [own for own in parts.values() if own == round(own) and own < fastest - 1]
-    if order > LOW and min((abs(order - own) for own in near), default=math.inf) > SIDE:
+    whole = [own for own in parts.values() if own == round(own) and own < fastest - 1]
+    if order > LOW and min((abs(order - own) for own in whole), default=math.inf) > SIDE:
         return f"it may be order {other:g}"
     several = (n * own for n in range(2, FASTEST + 1) for own in (fastest, fastest - 1))  # also seen from the output
     alias = next((own for own in several if sampling.alike(own, order)), None)

@@ -146,11 +146,11 @@ def _waves(
     free = np.setdiff1d(whole, [atom.at for atom in model.atoms if atom.kind == "order"]).astype(float)
     if len(free):
         yield Atom("order", float(free[np.argmax(np.interp(free, order, power))]))
-    inside = (order > 0.7 / sampling.turns) & (order > 0.5)
+    inside = (order > 0.4 / sampling.turns) & (order > 0.4)
     if not np.any(inside):
         return
     start = float(order[inside][np.argmax(power[inside])])
-    half = 0.25 / sampling.turns
+    half = 0.5 / sampling.turns
     near = optimize.minimize_scalar(
         lambda at: model.more(Atom("line", float(at))),
         bounds=(max(start - half, 0.3), min(start + half, top)),

@@ -182,9 +182,9 @@ def _figure(curve: Curve, end: str) -> Figure:
 
 def _measured(curve: Curve, end: str) -> Figure:
     """The readings, what was found in them, and the rest."""
-    model = curve.judged.model
+    model, used = curve.judged.model, np.isin(curve.judged.model.angle, curve.judged.angle)  # no bad reading
     title = f"Measured curve, its contents and the rest {curve.label}".rstrip()
     draw = lambda: rvjax.plotting.compensation.contents(  # noqa: E731
-        model.angle, model.value, model.value - model.residual, title=title
+        model.angle[used], model.value[used], (model.value - model.residual)[used], title=title
     )
     return Figure(f"measurement{end}", title, draw)

@@ -62,9 +62,10 @@ def _curve(band: Band) -> "Axes":
 def _contents(found: Identified, place: int) -> "Axes":
     run = found.problem.items[0][place]
     assert isinstance(run, Run)
-    model = judge(run, found.study.design.orders).model
+    judged = judge(run, found.study.design.orders)
+    model, used = judged.model, np.isin(judged.model.angle, judged.angle)  # no bad reading
     return rvjax.plotting.compensation.contents(
-        model.angle, model.value, model.value - model.residual, title=run.at.text()
+        model.angle[used], model.value[used], (model.value - model.residual)[used], title=run.at.text()
     )
 
 
