@@ -45,7 +45,7 @@ def warnings(found: Mapping[str, Sequence[Finding]]) -> list[str]:
     for name, several in found.items():
         for finding in several:
             if finding.warning:
-                size = finding.name if finding.unit == "-" else f"{finding.name}, {_quantity(finding).text('.3g')}"
+                size = finding.name if finding.unit == "-" else f"{finding.name}, {_quantity(finding).text('.4g')}"
                 lead = f"{name}: " if name and len(found) > 1 else ""
                 lines.append(f"warning: {lead}{size}: {finding.text}")
     left = len(lines) - MOST_WARNINGS

@@ -31,8 +31,12 @@ def _sampling(judged: Judged) -> Iterator[Finding]:
     several = sampling.readings > sampling.points
     repeated = f"{sampling.readings} readings; the mean of each place counts" if several else ""
     yield Finding("points", float(sampling.points), "-", repeated)
-    covered = f"{sampling.stroke / deg:.4g} deg of 360 are measured; the table continues its orders over the rest"
-    yield Finding("stroke", sampling.stroke, "rad", "" if sampling.whole else covered, not sampling.whole)
+    span = float(np.ptp(judged.model.angle)) if len(judged.model.angle) else 0.0
+    covered = f"{span / deg:.4g} deg of 360 are measured; the table continues its orders over the rest"
+    if sampling.whole:
+        yield Finding("stroke", sampling.stroke, "rad")
+    else:
+        yield Finding("stroke", span, "rad", covered, True)
     if math.isfinite(sampling.repeat):
         equal = (
             f"{sampling.repeat:.5g} equal steps per revolution: order k and order {sampling.repeat:.5g} - k are alike"

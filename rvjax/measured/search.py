@@ -46,8 +46,7 @@ def content(
     for start in starts:
         first = [order for order in dict.fromkeys(start) if order < top][: max(room // 4, 1 if room > 1 else 0)]
         model = Model(angle, value, [Atom("order", float(order)) for order in first])
-        model = _whole(_grown(model, sampling, parts, top, timed), top)
-        found.append(_smooth(model, sampling, known))
+        found.append(_whole(_grown(model, sampling, parts, top, timed), top))
         if all(atom.kind == "order" and atom.at in first for atom in found[-1].atoms):
             break  # nothing that low orders could explain in another way
     return min(found, key=_loss)
@@ -84,17 +83,6 @@ def _whole(model: Model, top: float) -> Model:
 def _loss(model: Model) -> float:
     """Score and the price of its numbers."""
     return model.score + NUMBER * sum(atom.numbers for atom in model.atoms)
-
-
-def _smooth(model: Model, sampling: Sampling, known: Sequence[float]) -> Model:
-    """The model with one drift in place of drift and low orders, where that says the same with fewer numbers."""
-    if not any(atom.kind in ("drift", "warm-up") for atom in model.atoms):
-        return model
-    low = [float(k) for k in range(2, LOW + 1) if k not in known]
-    smooth = [a for a in model.atoms if a.kind in ("drift", "warm-up") or (a.kind == "order" and a.at in low)]
-    less = Model(model.angle, model.value, [atom for atom in model.atoms if atom not in smooth])
-    others = [Model(model.angle, model.value, [*less.atoms, one]) for one in (Atom("drift"), _warm_up(less, sampling))]
-    return min(model, *others, key=_loss)
 
 
 def _warm_up(model: Model, sampling: Sampling) -> Atom:
