@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from rvjax import catalogue, cli, measured
+from rvjax._ground.linear import svd
 from rvjax.compensation import correction, read as read_table
 from rvjax.measured import Conditions, Run, findings, fitted, judge
 from rvjax.measured.sampling import legs, places, repetition
@@ -114,11 +115,26 @@ def test_an_order_of_the_motor_is_not_stored(points, order, looks):
     assert stored == [39, 40, 70, 78]
 
 
+def test_singular_values_where_the_fast_driver_fails(monkeypatch):
+    """Over three whole turns all singular values are equal; LAPACK's fast driver may not converge."""
+    matrix = np.random.default_rng(0).standard_normal((30, 4))
+    due = np.linalg.svd(matrix, compute_uv=False)
+
+    def fails(*_, **__):
+        raise np.linalg.LinAlgError
+
+    monkeypatch.setattr(np.linalg, "svd", fails)
+    left, size, right = svd(matrix)
+    np.testing.assert_allclose(size, due, rtol=1e-12)
+    np.testing.assert_allclose(left * size @ right, matrix, atol=1e-12)
+
+
 def test_a_high_order_at_uneven_angles_does_not_leak():
     rng = np.random.default_rng(2)
     angle = equal(720) + rng.uniform(-0.2, 0.2, 720)
-    _, _, stored, rest = evaluated(angle, curve(angle * deg, TRUTH | {650: 2.0}) + noise(720))
+    judged, _, stored, rest = evaluated(angle, curve(angle * deg, TRUTH | {650: 2.0}) + noise(720))
     assert stored == [39, 40, 78] and rest < 0.1
+    assert said(judged)["highest resolved order"].value == 12 * 105
 
 
 # Drift, steps, bad readings

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from rvjax.measured.atoms import memory
-from rvjax.measured.judge import DRIFTS, Judged
+from rvjax.measured.judge import DRIFTS, FASTEST, Judged
 from rvjax.measured.kind import Finding
 from rvjax.measured.search import LOW
 from rvjax.units import arcsec, deg
@@ -42,6 +42,9 @@ def _sampling(judged: Judged) -> Iterator[Finding]:
             f"{sampling.repeat:.5g} equal steps per revolution: order k and order {sampling.repeat:.5g} - k are alike"
         )
         yield Finding("highest resolved order", float(math.ceil(sampling.finest) - 1), "-", equal)
+    elif judged.parts:
+        searched = FASTEST * max(judged.parts.values())
+        yield Finding("highest resolved order", searched, "-", "no two orders up to it are alike at these angles")
 
 
 def _closure(judged: Judged) -> Iterator[Finding]:
