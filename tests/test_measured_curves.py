@@ -273,6 +273,18 @@ def test_the_orders_of_the_reducer_are_known_from_a_part_of_a_turn(stroke):
         assert fit.found.sd[at[39]] / arcsec == pytest.approx(NOISE * np.sqrt(2 / 680), rel=0.2)  # 0.011
 
 
+@pytest.mark.parametrize("repeated", [False, True])
+def test_a_gap_in_the_revolution_is_a_stroke_below_a_revolution(repeated):
+    """A sensor that fails over 20 deg; three sweeps of a joint that moves 340 deg, whose angle wraps to 0."""
+    sweep = np.arange(0, 340, 0.5)
+    angle = np.concatenate([sweep, sweep + 360, sweep + 720]) if repeated else np.delete(equal(720), range(200, 240))
+    judged, _, stored, rest = evaluated(angle, curve(angle * deg) + noise(len(angle)))
+    assert stored == [39, 40, 78] and rest < 0.1 and not judged.sampling.whole
+    assert said(judged)["gap in the revolution"].value == pytest.approx(20.5 * deg)
+    uneven = np.sort(np.random.default_rng(6).uniform(0, 360, 400))
+    assert judge(run(uneven, noise(400)), PARTS).sampling.whole
+
+
 def test_what_a_short_stroke_does_not_determine_is_not_stored():
     angle = np.arange(0, 45, 0.5)
     _, fit, stored, rest = evaluated(angle, curve(angle * deg) + noise(90))

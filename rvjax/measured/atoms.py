@@ -13,6 +13,7 @@ import numpy as np
 from rvjax._ground.linear import svd
 
 COLLINEAR = 1e-8  # square of the share of a column that others do not explain
+TINY = 1e-300
 LEAST_NOISE = 1e-9  # of the spread of a curve: rounding
 
 
@@ -88,7 +89,7 @@ class Model:
         self.least = LEAST_NOISE * float(np.std(value)) + 1e-150
         matrix = np.concatenate([np.ones((len(angle), 1)), *(a.columns(angle) for a in atoms)], axis=1)
         self.owner = np.array([-1, *(k for k, a in enumerate(atoms) for _ in range(a.columns(angle[:2]).shape[1]))])
-        self.matrix = matrix / np.linalg.norm(matrix, axis=0)
+        self.matrix = matrix / np.maximum(np.linalg.norm(matrix, axis=0), TINY)
         left, size, right = svd(self.matrix)
         kept = size > math.sqrt(COLLINEAR) * size[0]
         self.basis, self.inverse = left[:, kept], right[kept].T / size[kept]
@@ -99,7 +100,7 @@ class Model:
     def more(self, atom: Atom) -> float:
         """Score with one more atom, which is not added."""
         columns = atom.columns(self.angle)
-        columns = columns / np.linalg.norm(columns, axis=0)
+        columns = columns / np.maximum(np.linalg.norm(columns, axis=0), TINY)
         own = columns - self.basis @ (self.basis.T @ columns)
         left, size, _ = svd(own)
         left = left[:, size > math.sqrt(COLLINEAR)]
@@ -117,7 +118,7 @@ class Model:
             atom: of the model.
         """
         own = self.owner == self.atoms.index(atom)
-        scale = np.linalg.norm(atom.columns(self.angle), axis=0)
+        scale = np.maximum(np.linalg.norm(atom.columns(self.angle), axis=0), TINY)
         inverse = self.inverse[own] / scale[:, None]
         return inverse @ (self.basis.T @ self.value), inverse @ inverse.T
 

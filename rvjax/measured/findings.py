@@ -8,6 +8,7 @@ import numpy as np
 from rvjax.measured.atoms import memory
 from rvjax.measured.judge import DRIFTS, FASTEST, Judged
 from rvjax.measured.kind import Finding
+from rvjax.measured.sampling import WHOLE
 from rvjax.measured.search import LOW
 from rvjax.units import arcsec, deg
 
@@ -32,11 +33,13 @@ def _sampling(judged: Judged) -> Iterator[Finding]:
     repeated = f"{sampling.readings} readings; the mean of each place counts" if several else ""
     yield Finding("points", float(sampling.points), "-", repeated)
     span = float(np.ptp(judged.model.angle)) if len(judged.model.angle) else 0.0
-    covered = f"{span / deg:.4g} deg of 360 are measured; the table continues its orders over the rest"
+    rest = "the table continues its orders over the rest"
     if sampling.whole:
         yield Finding("stroke", sampling.stroke, "rad")
+    elif sampling.stroke >= WHOLE:
+        yield Finding("gap in the revolution", sampling.gap, "rad", f"not measured; {rest}", True)
     else:
-        yield Finding("stroke", span, "rad", covered, True)
+        yield Finding("stroke", span, "rad", f"{span / deg:.4g} deg of 360 are measured; {rest}", True)
     if math.isfinite(sampling.repeat):
         equal = (
             f"{sampling.repeat:.5g} equal steps per revolution: order k and order {sampling.repeat:.5g} - k are alike"

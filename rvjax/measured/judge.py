@@ -18,6 +18,7 @@ FASTEST = 12
 LOST = 4.0  # standard deviations of a reading: a larger step is a lost step, not noise
 BAD = 0.01  # share of bad readings that are left out
 DRIFTS = ("drift", "warm-up", "step")
+HOLE = 10.0  # steps: a larger gap in the revolution is no uneven step
 FEWEST = 12  # readings of a search
 
 
@@ -102,7 +103,7 @@ def _judged(run: Run, own: tuple[tuple[str, float], ...]) -> Judged:
     sampling = _sampling(angle, readings, parts)
     highest = FASTEST * max(parts.values(), default=100.0)
     model = Model(angle, error, [])
-    if len(angle) >= FEWEST and np.ptp(error) > 0:
+    if len(angle) >= FEWEST and np.ptp(error) > 0 and np.ptp(angle) > 0:
         model = content(angle, error, sampling, parts, highest, timed)
     bad = [int(atom.at) for atom in model.atoms if atom.kind == "glitch"]
     if len(bad) > max(1, BAD * len(angle)):  # heavy tails are noise
@@ -125,7 +126,11 @@ def _sampling(angle: np.ndarray, readings: int, parts: Mapping[str, float]) -> S
     if len(steps) and gap < 5 * float(np.mean(steps)):  # uneven places all round
         stroke = max(stroke, 2 * math.pi)
     top = max(parts.values(), default=100.0)
-    return Sampling(len(angle), readings, stroke, step, repetition(angle, FASTEST * top + 3 * top))
+    around = np.sort(angle % (2 * math.pi))
+    gaps = np.diff(around, append=around[0] + 2 * math.pi) if len(angle) else np.zeros(1)
+    hole = float(np.max(gaps))
+    hole = hole if hole > HOLE * max(float(np.mean(gaps)), step) else 0.0
+    return Sampling(len(angle), readings, stroke, step, hole, repetition(angle, FASTEST * top + 3 * top))
 
 
 def _check_steps(found: Judged) -> None:

@@ -38,9 +38,9 @@ def factor(
     """
     white = np.ones(len(orders)), np.full(len(orders), KNOWN)
     span = float(np.ptp(model.angle)) * len(model.angle) / max(len(model.angle) - 1, 1)
-    step = 2 * math.pi / span
-    if not sd > 0 or top < 2 * LOWEST:
+    if not sd > 0 or not span > 0 or top < 2 * LOWEST:
         return white
+    step = 2 * math.pi / span
     named = list(parts)
     weak = [a for a in model.atoms if a.kind == "order" and LOWEST <= a.at <= 2 * LOWEST and a.at not in named]
     residual = model.residual + model.curve(weak)  # content among the lowest orders of noise is an outlier there

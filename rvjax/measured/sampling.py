@@ -28,6 +28,8 @@ class Sampling:
         readings: number of readings, not less than places.
         stroke: range of the angles and one step, rad.
         step: usual distance of two places, rad.
+        gap: largest distance of two neighbouring places of the revolution, if it is much larger than the others, rad;
+            else 0.
         repeat: order at which the angles repeat, such as the number of equal steps of a revolution; inf if there
             is none in the range that was searched.
     """
@@ -36,6 +38,7 @@ class Sampling:
     readings: int
     stroke: float
     step: float
+    gap: float
     repeat: float
 
     @property
@@ -46,7 +49,7 @@ class Sampling:
     @property
     def whole(self) -> bool:
         """True if it covers a revolution."""
-        return self.stroke >= WHOLE
+        return self.stroke >= WHOLE and self.gap == 0
 
     @property
     def finest(self) -> float:
