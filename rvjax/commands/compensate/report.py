@@ -14,7 +14,7 @@ from rvjax.commands.compensate.inputs import Inputs
 from rvjax.compensation import Left, exported, predicted, residual
 from rvjax.measured import Finding, findings
 from rvjax.records import PyTree
-from rvjax.render import CSV, TEXT, Cell, Column, Figure, Interval, Note, Number, Quantity, Report, Table, Text
+from rvjax.render import CSV, PAGE, TEXT, Cell, Column, Figure, Interval, Note, Number, Quantity, Report, Table, Text
 from rvjax.units import arcsec
 
 ARCSEC: dict[str, PyTree] = {"unit": "rad", "read_in": "arcsec"}
@@ -39,7 +39,7 @@ def report(inputs: Inputs, found: Corrections) -> Report:
         title=f"{study.name}: compensation",
         content=(
             Note(head),
-            *([Note("\n".join(said), frozenset({TEXT}))] if (said := measurement.warnings(found_in)) else []),
+            *([Note("\n".join(said))] if (said := measurement.warnings(found_in)) else []),
             _curves(curves, left),
             *_crossed(curves),
             Note(rest),
@@ -104,7 +104,7 @@ def _curves(curves: Sequence[Curve], left: Sequence[Left]) -> Table:
     if not any(curve.held_out for curve in curves):
         columns, rows = [*columns[:4], *columns[5:]], [[*row[:4], *row[5:]] for row in rows]
     note = "rms of the measured curve without its mean, a drift, and an order 1 that is not stored"
-    return Table("curves", columns, rows, note=note, on=frozenset({TEXT}))
+    return Table("curves", columns, rows, note=note, on=frozenset({TEXT, PAGE}))
 
 
 def _crossed(curves: Sequence[Curve]) -> list[Table]:
@@ -121,7 +121,7 @@ def _crossed(curves: Sequence[Curve]) -> list[Table]:
         ]
         columns = [Text("table made at"), *(Number(curve.label or "all", **BRIEF) for curve in own)]
         caption = "rms of a curve with the table of another curve"
-        tables += [Table("crossed", columns, rows, caption, on=frozenset({TEXT}))] if len(own) > 1 else []
+        tables += [Table("crossed", columns, rows, caption, on=frozenset({TEXT, PAGE}))] if len(own) > 1 else []
     return tables
 
 
