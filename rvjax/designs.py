@@ -239,6 +239,16 @@ class RVReducer(Record):
         involute, cycloid = self.involute, self.cycloid
         return ratio_of(involute.sun_teeth, involute.planet_teeth, cycloid.disc_teeth, cycloid.pin_count)
 
+    @property
+    def orders(self) -> dict[str, float]:
+        """Orders of the output turn that parts of the reducer cause; an order need not be a whole number."""
+        teeth, pins = self.cycloid.disc_teeth, self.cycloid.pin_count
+        whole = {"disc teeth": teeth, "pins": pins, "twice the disc teeth": 2 * teeth, "twice the pins": 2 * pins}
+        return {name: float(order) for name, order in whole.items()} | {
+            "sun": float(self.ratio),
+            "sun against the carrier": float(self.ratio) - 1,
+        }
+
     def stiffer(self, factor: Scalar) -> Self:
         """Reducer with all spring stiffnesses multiplied by a factor."""
         cranks, springs = self.cranks, self.stiffness

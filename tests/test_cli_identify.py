@@ -147,8 +147,9 @@ def test_the_table_of_elements_holds_numbers(answered):
 
 def test_the_folder_holds_page_tables_and_pictures(answered):
     _, out, _ = answered
-    names = {"report.html", "summary.txt", "result.json", "elements.csv", "study.toml"}
-    pictures = {"curve_1.png", "curve_2.png", "orders.png", "elements.png", "shares.png"}
+    names = {"report.html", "summary.txt", "result.json", "elements.csv", "measurement.csv", "study.toml"}
+    pictures = {"curve_1.png", "curve_2.png", "measurement_1.png", "measurement_2.png", "orders.png"}
+    pictures |= {"elements.png", "shares.png"}
     assert {path.name for path in out.iterdir()} == names | pictures
     page = (out / "report.html").read_text()
     assert page.count("<figure>") == len(pictures) and "<script" not in page and "http" not in page.split("</style>")[0]

@@ -72,6 +72,9 @@ def test_missing_index_mark_and_floor_orders():
     beside = problem.floor_orders(catalogue.RV_40E, (40, 80))
     assert len(beside) == 20 and not {1, 39, 40, 41, 78, 79, 80, 81} & set(beside) and min(beside) > 4
     assert not [k for k in beside if min(k % 40, 40 - k % 40) <= 1 or min(k % 39, 39 - k % 39) <= 1]
+    gears = catalogue.RV_40E.involute.replace(sun_teeth=13, planet_teeth=23)  # a ratio of 71.77, thrice 215.3
+    uneven = problem.floor_orders(catalogue.RV_40E.replace(involute=gears), (216,))
+    assert not {214, 215, 216} & set(uneven) and 217 in uneven
     run = measured.Run("a.csv", Conditions(), np.arange(0, 2 * np.pi, 1e-3), np.zeros(6284))
     assert measured.checked(run, 80).at.sign == 1
 

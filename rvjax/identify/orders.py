@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from rvjax._ground.linear import svd
 from rvjax._jax.arguments import checked
 from rvjax.records import Array
 
@@ -63,7 +64,7 @@ def orders(
     phase = x[:, None] * wanted
     matrix = np.concatenate([np.ones((x.size, 1)), *(c[:, None] for c in extra), np.cos(phase), -np.sin(phase)], axis=1)
     numbers = matrix.shape[1]
-    left, singular, right = np.linalg.svd(matrix, full_matrices=False)
+    left, singular, right = svd(matrix)
     if x.size <= numbers or singular[-1] < DEPENDENT * singular[0]:
         raise ValueError(f"orders = {wanted.tolist()}: {x.size} samples cannot determine {numbers} numbers per turn")
     found = right.T @ ((left.T @ y) / singular)

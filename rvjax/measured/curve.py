@@ -1,32 +1,20 @@
 """Curves of the transmission error along turns of the output."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from rvjax._ground.columns import Table
 from rvjax.measured.conditions import Conditions, where as named
-from rvjax.measured.kind import Kind
+from rvjax.measured.findings import findings
+from rvjax.measured.judge import judge
+from rvjax.measured.kind import Finding, Item, Kind
+from rvjax.measured.run import Run
+from rvjax.measured.sampling import legs, places
 from rvjax.units import deg
 
 TURN = 359 * deg  # what a run has to cover; every sample represents the step before it
-
-
-@dataclass(frozen=True)
-class Run:
-    """Transmission error along a turn of the output.
-
-    Attributes:
-        source: name of the file.
-        at: under which conditions.
-        angle: of the output, ascending or descending without jumps, rad (n,).
-        error: > 0: output ahead, rad (n,).
-    """
-
-    source: str
-    at: Conditions
-    angle: np.ndarray
-    error: np.ndarray
 
 
 class Curve(Kind):
@@ -44,7 +32,24 @@ class Curve(Kind):
         for row, value in zip(table.rows[rows][kept], angle[kept]):
             if np.isnan(value):
                 raise ValueError(f"{table.source}: row {row}, angle is empty: every sample needs its angle in deg")
-        return Run(table.source, at, np.unwrap(angle[kept]), error[kept])
+        return Run(table.source, at, np.unwrap(angle[kept]), error[kept], table.rows[rows][kept])
+
+    def passes(self, table: Table, at: Conditions, rows: np.ndarray) -> Iterator[tuple[Conditions, np.ndarray]]:
+        """Forth and back of a file without directions; rows without a reading belong to the pass about them."""
+        angle = table.numbers["angle"][rows]
+        known = ~np.isnan(angle) & ~np.isnan(table.numbers["error"][rows])
+        unwrapped = np.unwrap(angle[known])
+        every = legs(unwrapped) if not at.stated else []
+        if len(every) < 2:
+            yield at, rows
+            return
+        for leg in every:
+            rises = unwrapped[leg][-1] > unwrapped[leg][0]
+            yield replace(at, direction="forward" if rises else "backward", stated=True), rows[known][leg]
+
+    def findings(self, item: Item, parts: Mapping[str, float]) -> tuple[Finding, ...]:
+        """Points, stroke, closure, drift, noise, and orders that are not distinguishable."""
+        return findings(judge(item, parts)) if isinstance(item, Run) else ()
 
 
 def checked(run: Run, finest: int) -> Run:
@@ -54,7 +59,9 @@ def checked(run: Run, finest: int) -> Run:
         ValueError: it covers less than 359 deg, turns back, or has a gap above half the finest order.
     """
     where, angle = named(run.source, run.at), run.angle
-    step = np.median(np.abs(np.diff(angle))) if len(angle) > 1 else 0.0
+    rank = np.sort(angle)
+    distinct = places(rank, rank)[0]  # repeated readings of a place are no steps
+    step = np.median(np.diff(distinct)) if len(distinct) > 1 else 0.0
     if (covered := (np.ptp(angle) + step if len(angle) else 0.0) / deg) < TURN / deg:
         hint = "; a run needs one nominal torque" if len(angle) < 2 else ""
         raise ValueError(f"{where}: covers {covered:.6g} deg in {len(angle)} samples, needs at least 359 deg{hint}")

@@ -1,7 +1,7 @@
 """Kind of a bench file: its columns, how they are read, nuisances of the bench."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
@@ -62,6 +62,16 @@ class Kind(ABC):
         Raises:
             ValueError: names file, row, column, value and unit.
         """
+
+    def passes(self, table: Table, at: Conditions, rows: np.ndarray) -> Iterator[tuple[Conditions, np.ndarray]]:
+        """Conditions and rows of each item that rows of equal conditions hold.
+
+        Args:
+            table: of the file.
+            at: the conditions in the file.
+            rows: of the table that have them.
+        """
+        yield at, rows
 
     def findings(self, item: Item, parts: Mapping[str, float]) -> tuple[Finding, ...]:
         """Properties of a measurement that limit a result: sampling, noise, and what does not come from the reducer.

@@ -13,9 +13,10 @@ from rvjax._ground import columns as cells
 from rvjax._ground.cells import is_number, listed
 from rvjax._ground.columns import Table
 from rvjax.measured.conditions import DIRECTIONS, Conditions
-from rvjax.measured.curve import Curve, Run
+from rvjax.measured.curve import Curve
 from rvjax.measured.kind import Item, Kind
 from rvjax.measured.loop import Hysteresis
+from rvjax.measured.run import Run
 from rvjax.measured.tones import Frequencies
 from rvjax.measured.wide import is_column, read_wide, side_of
 from rvjax.units import KNOWN, recognised
@@ -111,8 +112,8 @@ def read(
         if len(kinds) > 1:
             (first, one), (second, other) = kinds.items()
             raise ValueError(f"{other}: holds {second}, {one} holds {first}; identify them one after the other")
-        for at, rows in _groups(table):
-            items.append(KINDS[held].read(table, at, rows))
+        for at, every in _groups(table):
+            items += [KINDS[held].read(table, own, rows) for own, rows in KINDS[held].passes(table, at, every)]
         notes += [f"{Path(path).name}: {note}" for note in table.notes]
     return Measured(next(iter(kinds)), tuple(items), tuple(notes))
 

@@ -20,6 +20,7 @@ from rvjax.study.kinds import (
     fields_of_kind as fields_of_kind,
     kind_of as kind_of,
     number_at as number_at,
+    orders_of as orders_of,
     outside as outside,
 )
 from rvjax.study.kinds.rv import RATED, TORQUE

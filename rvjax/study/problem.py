@@ -1,13 +1,13 @@
 """Problem that `rvjax.identify` solves, from a study and its measurements: model, prior, data, noise."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from rvjax import identify, models
-from rvjax.measured import GRID, KINDS, Conditions, Loop, Measured, Run, Tones, checked
+from rvjax.measured import GRID, KINDS, Conditions, Judged, Loop, Measured, Run, Tones, checked, judge
 from rvjax.outputs import Observation, torque_of
 from rvjax.records import Design, PyTree
 from rvjax.study.bench import (
@@ -22,7 +22,7 @@ from rvjax.study.bench import (
     signed_torques,
 )
 from rvjax.study.identification import Identification, planned_kind
-from rvjax.study.kinds import kind_of
+from rvjax.study.kinds import orders_of
 from rvjax.study.nuisances import NUISANCES
 from rvjax.study.study import Study, StudyError
 from rvjax.tolerances import Tolerance
@@ -163,7 +163,7 @@ def _curves(study: Study, given: Identification, measured: Measured | None) -> P
             seen: Seen = {key: np.full(len(runs), np.nan, float if key == "mean" else complex) for key in groups}
             for place, run in found.items():
                 r = places.index(place)
-                fitted = _fitted(run, wanted, beside)
+                fitted = _fitted(run, wanted, beside, orders_of(study.design))
                 for k, order in enumerate(wanted):
                     seen[order_name(order)][r] = fitted.value[k]
                 if "mean" in seen:
@@ -194,12 +194,14 @@ class _Fitted:
     floor: float
 
 
-def _fitted(run: Run, wanted: Sequence[int], beside: Sequence[int]) -> _Fitted:
+def _fitted(run: Run, wanted: Sequence[int], beside: Sequence[int], parts: Mapping[str, float]) -> _Fitted:
     """Orders of a run by least squares on its real angles; mean and order 1 are always fitted."""
-    run = checked(run, max(wanted))
+    checked(run, max(wanted))
+    judged = judge(run, parts)
+    _check_alike(judged, wanted)
     every = sorted({1, *wanted, *beside})
     try:
-        found = identify.orders(run.angle, run.error, every)
+        found = identify.orders(judged.angle, judged.error, every)
     except ValueError as error:
         raise ValueError(f"{run.source}: run {run.at.text()}: {error}") from None
     value = dict(zip(every, np.asarray(found.value)))
@@ -211,12 +213,20 @@ def _fitted(run: Run, wanted: Sequence[int], beside: Sequence[int]) -> _Fitted:
     return _Fitted(np.array([value[k] for k in wanted]), float(found.mean), floor)
 
 
+def _check_alike(judged: Judged, wanted: Sequence[int]) -> None:
+    """Raise ValueError for an order that another order of the reducer looks like at the measured angles."""
+    for order in wanted:
+        for name, own in judged.hidden(order).items():
+            alike = f"{judged.sampling.points} points: order {own:.5g} ({name}) looks like order {order}"
+            need = f"measure {2 * max(own, order) + 1:.0f} points per revolution or more, or at uneven angles"
+            raise ValueError(f"{judged.run.name}: {alike}; {need}")
+
+
 def floor_orders(design: Design, orders: Sequence[int]) -> list[int]:
     """The orders nearest to those of a study that no part of the reducer causes."""
     top = max(orders) + 200
-    parts = of_parts(design) if (of_parts := kind_of(design).orders) else ()
-    named = {0, 1, 2, 3, 4, *orders}
-    named |= {m + side for part in parts for m in range(part, top, part) for side in (-1, 0, 1)}
+    several = [round(n * part) for part in orders_of(design).values() for n in range(1, int(top / part) + 1)]
+    named = {0, 1, 2, 3, 4, *orders} | {m + side for m in several for side in (-1, 0, 1)}
     free = [k for k in range(5, top) if k not in named]
     return sorted(sorted(free, key=lambda k: (min(abs(k - order) for order in orders), k))[:BESIDE])
 

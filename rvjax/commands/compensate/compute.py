@@ -8,13 +8,15 @@ import numpy as np
 from rvjax._ground import progress
 from rvjax.commands.compensate.inputs import Inputs
 from rvjax.commands.speak import READING, WRITING
-from rvjax.compensation import Correction, Table, correction, significant, table
+from rvjax.compensation import Correction, Table, correction, table
 from rvjax.identify import Orders, orders
+from rvjax.measured import Fitted, Judged, fitted, judge
 from rvjax.records import PyTree
-from rvjax.study import KINDS, Run, Study, StudyError, kind_of, read_measured
+from rvjax.study import KINDS, Run, Study, StudyError, orders_of, read_measured
 
 CORRECTING = "orders of the curves"
-SPARE = 4  # points for every number that is fitted
+WHOLE_TURNS = 1.99
+HARMONICS = 3  # of the pins: the highest order that a table holds
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -22,14 +24,30 @@ class Curve:
     """One measured curve.
 
     Attributes:
-        run: as measured.
-        found: its orders.
+        judged: the curve and its contents.
+        fit: its orders, and those that a table may hold.
         correction: of it.
+        before: rms without drift, mean and an order 1 that is not stored, rad.
+        after: the same with the table, rad.
+        held_out: the last of several revolutions without and with a table of the others, rad; None of one revolution.
     """
 
-    run: Run
-    found: Orders
+    judged: Judged
+    fit: Fitted
     correction: Correction
+    before: float
+    after: float
+    held_out: tuple[float, float] | None = None
+
+    @property
+    def run(self) -> Run:
+        """As measured."""
+        return self.judged.run
+
+    @property
+    def found(self) -> Orders:
+        """Fitted orders."""
+        return self.fit.found
 
     @property
     def torque(self) -> float:
@@ -94,7 +112,8 @@ def corrections(
 ) -> Corrections:
     """Corrections from a CSV file of measured curves.
 
-    Orders up to three times the pins are fitted, fewer where the points are few. The significant ones are stored.
+    Orders up to three times the pins are fitted, fewer where the points are few. Those of the reducer are always among
+    them. Orders that exceed noise and are no alias are stored.
 
     Args:
         study: its design gives ratio and pins, its [columns] the foreign names of columns.
@@ -107,7 +126,7 @@ def corrections(
     Raises:
         ValueError: names file, row, column and value.
     """
-    if kind_of(study.design).orders is None:
+    if not orders_of(study.design):
         able = " or ".join(kind.name for kind in KINDS.values() if kind.orders)
         raise StudyError(f"{study.name}: {able} is needed, whose ratio and pins are read")
     read = read_measured([path], study.columns, kind="curve")
@@ -119,12 +138,11 @@ def corrections(
 
 
 def _curve(design: PyTree, run: Run, angle_sd: float, count: int | None, first_order: bool) -> Curve:
-    most = 3 * design.cycloid.pin_count
-    fitted = np.arange(1, min(most, (len(run.angle) // SPARE - 1) // 2) + 1)
     try:
-        found = orders(run.angle, run.error, fitted)
-        seen = significant(found)
-        seen = seen if first_order else seen[found.order[seen] > 1]
+        judged = judge(run, orders_of(design))
+        fit = fitted(judged, HARMONICS * design.cycloid.pin_count)
+        found = fit.found
+        seen = fit.seen if first_order else fit.seen[found.order[fit.seen] > 1]
         made = correction(
             found.order[seen],
             found.value[seen],
@@ -133,6 +151,38 @@ def _curve(design: PyTree, run: Run, angle_sd: float, count: int | None, first_o
             angle_sd=angle_sd,
             count=count,
         )
+        rest = periodic(judged, made)
+        after = rest + made.output(judged.angle)
+        return Curve(judged, fit, made, float(np.std(rest)), float(np.std(after)), _held_out(judged, made, rest))
     except ValueError as problem:
-        raise StudyError(f"{run.source}, {run.at.text()}: {problem}") from None
-    return Curve(run, found, made)
+        text = str(problem)
+        text = text if text.startswith(run.source) else f"{run.source}, {run.at.text()}: {text}"
+        raise StudyError(text) from None
+
+
+def periodic(judged: Judged, made: Correction) -> np.ndarray:
+    """The measured curve, with lines, without drift, and without order 1 where that is not stored; rad.
+
+    Args:
+        judged: the curve.
+        made: correction of it.
+    """
+    kept = np.isin(judged.model.angle, judged.angle)
+    lines = judged.model.curve(judged.found("line"))[kept]
+    curve = judged.error + lines
+    if 1 in made.order or 2 * len(judged.angle) < 8:
+        return curve
+    value = orders(judged.angle, judged.error, sorted({1, *made.order.tolist()})).value[0]
+    return np.asarray(curve - np.real(value * np.exp(1j * judged.angle)))
+
+
+def _held_out(judged: Judged, made: Correction, curve: np.ndarray) -> tuple[float, float] | None:
+    """Rms of the last revolution without and with the stored orders of the revolutions before it, rad."""
+    if judged.sampling.turns < WHOLE_TURNS or not len(made.order):
+        return None
+    last = judged.angle > judged.angle[-1] - 2 * np.pi
+    own = orders(judged.angle[~last], judged.error[~last], sorted({1, *made.order.tolist()}))
+    gain = dict(zip(made.order.tolist(), made.gain))
+    value = own.value * np.array([gain.get(order, 0.0) for order in own.order.tolist()])
+    table_of = np.real(np.exp(1j * np.outer(judged.angle[last], own.order)) @ value)
+    return float(np.std(curve[last])), float(np.std(curve[last] - table_of))

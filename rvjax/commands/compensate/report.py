@@ -1,18 +1,20 @@
 """Report of `rvjax compensate`: orders stored and errors left, tables for the controller, plots before and after."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 import rvjax
 from rvjax._ground.files import versions
-from rvjax.commands.compensate.compute import Corrections, Curve
+from rvjax.commands import measurement
+from rvjax.commands.compensate.compute import Corrections, Curve, periodic
 from rvjax.commands.compensate.inputs import Inputs
 from rvjax.compensation import Left, exported, predicted, residual
+from rvjax.measured import Finding, findings
 from rvjax.records import PyTree
-from rvjax.render import CSV, TEXT, Figure, Interval, Note, Number, Quantity, Report, Table, Text
+from rvjax.render import CSV, PAGE, TEXT, Cell, Column, Figure, Interval, Note, Number, Quantity, Report, Table, Text
 from rvjax.units import arcsec
 
 ARCSEC: dict[str, PyTree] = {"unit": "rad", "read_in": "arcsec"}
@@ -30,12 +32,14 @@ def report(inputs: Inputs, found: Corrections) -> Report:
     left = [predicted(curve.correction, seed=study.seed) for curve in curves]
     noise = max(curve.found.residual_sd for curve in curves)
     head = f"Compensation {study.name}: ratio {curves[0].correction.ratio:g}, arcsec at the output"
+    found_in = {curve.label: findings(curve.judged) + _not_stored(curve) for curve in curves}
     rest = f"Besides the orders the curves contain {noise / arcsec:.3g} arcsec (rms) that no table corrects."
     paths = [] if inputs.export is None else _paths(inputs.export, curves)
     return Report(
         title=f"{study.name}: compensation",
         content=(
             Note(head),
+            *([Note("\n".join(said))] if (said := measurement.warnings(found_in)) else []),
             _curves(curves, left),
             *_crossed(curves),
             Note(rest),
@@ -43,13 +47,25 @@ def report(inputs: Inputs, found: Corrections) -> Report:
             *([Note("\n".join(found.notes))] if found.notes else []),
             _orders(curves),
             *(_figure(curve, end) for curve, end in zip(curves, _ends(curves))),
+            *measurement.section(found_in, [_measured(curve, end) for curve, end in zip(curves, _ends(curves))]),
         ),
-        data=_data(inputs, found, left),
+        page="",
+        data=_data(inputs, found, left, found_in),
         files={"study.toml": study.text.encode(), "data.csv": Path(inputs.data).read_bytes()}
         | {f"table{end}.csv": exported(rows, ".csv") for rows, end in zip(found.tables, _ends(curves))},
         exports={path: exported(rows, path.suffix, seed=study.seed) for path, rows in zip(paths, found.tables)},
         told={"tables": list(map(str, paths))},
         closing=tuple(f"Table: {path}" for path in paths),
+    )
+
+
+def _not_stored(curve: Curve) -> tuple[Finding, ...]:
+    """Orders that exceed noise and are not stored."""
+    size = dict(zip(curve.found.order.tolist(), np.abs(curve.found.value).tolist()))
+    return tuple(
+        Finding(f"order {order} is not stored", size[order], "rad", why, True)
+        for order, why in curve.fit.unsure.items()
+        if order > 1
     )
 
 
@@ -67,23 +83,29 @@ def _paths(export: Path, curves: Sequence[Curve]) -> list[Path]:
 
 
 def _curves(curves: Sequence[Curve], left: Sequence[Left]) -> Table:
-    """Notes on each curve: stored orders and remaining error."""
-    rows = []
+    """Notes on each curve: stored orders, the curve before and after, and what is expected of another measurement."""
+    rows: list[list[Cell]] = []
     for curve, stays in zip(curves, left):
         made = curve.correction
         stored = " ".join(map(str, made.order.tolist())) or "none"
-        after, swing = Quantity.of(stays.rms, **ARCSEC), Quantity.of(stays.peak_to_peak, **ARCSEC)
-        before = made.before_rms, after, stays.before_peak_to_peak.value
-        rows.append([curve.label or "all", stored, *before, swing])
-    columns = [
+        later = curve.held_out and curve.held_out[1]
+        swing = Quantity.of(stays.peak_to_peak, **ARCSEC)
+        rows.append(
+            [curve.label or "all", stored, curve.before, curve.after, later, Quantity.of(stays.rms, **ARCSEC), swing]
+        )
+    columns: list[Column] = [
         Text("curve"),
         Text("orders stored"),
         Number("rms before", **BRIEF),
-        Interval("rms after [interval]", named=False, **BRIEF),
-        Number("p-p before", **BRIEF),
-        Interval("p-p after [interval]", named=False, **BRIEF),
+        Number("rms after", **BRIEF),
+        Number("held-out turn", **BRIEF),
+        Interval("stored orders leave [interval]", named=False, **BRIEF),
+        Interval("p-p [interval]", named=False, **BRIEF),
     ]
-    return Table("curves", columns, rows, on=frozenset({TEXT}))
+    if not any(curve.held_out for curve in curves):
+        columns, rows = [*columns[:4], *columns[5:]], [[*row[:4], *row[5:]] for row in rows]
+    note = "rms of the measured curve without its mean, a drift, and an order 1 that is not stored"
+    return Table("curves", columns, rows, note=note, on=frozenset({TEXT, PAGE}))
 
 
 def _crossed(curves: Sequence[Curve]) -> list[Table]:
@@ -100,7 +122,7 @@ def _crossed(curves: Sequence[Curve]) -> list[Table]:
         ]
         columns = [Text("table made at"), *(Number(curve.label or "all", **BRIEF) for curve in own)]
         caption = "rms of a curve with the table of another curve"
-        tables += [Table("crossed", columns, rows, caption, on=frozenset({TEXT}))] if len(own) > 1 else []
+        tables += [Table("crossed", columns, rows, caption, on=frozenset({TEXT, PAGE}))] if len(own) > 1 else []
     return tables
 
 
@@ -123,7 +145,9 @@ def _orders(curves: Sequence[Curve]) -> Table:
     return Table("orders", columns, rows, on=frozenset({CSV}))
 
 
-def _data(inputs: Inputs, found: Corrections, left: Sequence[Left]) -> dict[str, object]:
+def _data(
+    inputs: Inputs, found: Corrections, left: Sequence[Left], found_in: Mapping[str, Sequence[Finding]]
+) -> dict[str, object]:
     curves = [
         {
             "unit": curve.run.at.unit,
@@ -132,8 +156,11 @@ def _data(inputs: Inputs, found: Corrections, left: Sequence[Left]) -> dict[str,
             "temperature": curve.run.at.temperature,
             "order": curve.correction.order,
             "value": [[v.real, v.imag] for v in curve.correction.value.tolist()],
-            "before_rms": curve.correction.before_rms,
-            "residual_rms": curve.correction.residual_rms,
+            "before_rms": curve.before,
+            "residual_rms": curve.after,
+            "held_out_rms": curve.held_out and list(curve.held_out),
+            "not_stored": curve.fit.unsure,
+            "measurement": measurement.as_data(found_in[curve.label]),
             "noise_sd": curve.found.residual_sd,
             "error_bound": rows.error_bound,
             "predicted": stays,
@@ -147,13 +174,19 @@ def _data(inputs: Inputs, found: Corrections, left: Sequence[Left]) -> dict[str,
 
 def _figure(curve: Curve, end: str) -> Figure:
     """The curve before and after, without order 1 where that is not stored."""
-    first = np.zeros_like(curve.run.error)
-    title = "Error and its correction"
-    if 1 not in curve.correction.order and 1 in curve.found.order:
-        value = curve.found.value[curve.found.order == 1][0]
-        first, title = np.real(value * np.exp(1j * curve.run.angle)), "Error without order 1, and its correction"
+    made, angle = curve.correction, curve.judged.angle
+    title = "Error and its correction" if 1 in made.order else "Error without order 1, and its correction"
     title = f"{title} {curve.label}".rstrip()
-
-    before, made = curve.run.error - first, curve.correction
-    draw = lambda: rvjax.plotting.compensation.before_and_after(curve.run.angle, before, made, title=title)  # noqa: E731
+    before = periodic(curve.judged, made)
+    draw = lambda: rvjax.plotting.compensation.before_and_after(angle, before, made, title=title)  # noqa: E731
     return Figure(f"curve{end}", title, draw)
+
+
+def _measured(curve: Curve, end: str) -> Figure:
+    """The readings, what was found in them, and the rest."""
+    model, used = curve.judged.model, np.isin(curve.judged.model.angle, curve.judged.angle)  # no bad reading
+    title = f"Measured curve, its contents and the rest {curve.label}".rstrip()
+    draw = lambda: rvjax.plotting.compensation.contents(  # noqa: E731
+        model.angle[used], model.value[used], (model.value - model.residual)[used], title=title
+    )
+    return Figure(f"measurement{end}", title, draw)

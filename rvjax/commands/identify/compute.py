@@ -1,7 +1,7 @@
 """Identification from a measured curve: identifiable errors, most probable values, next measurement."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,8 +9,9 @@ from rvjax import identify
 from rvjax._ground import progress
 from rvjax.commands.identify.inputs import Inputs
 from rvjax.commands.speak import READING, WRITING
+from rvjax.measured import KINDS, Finding, judge
 from rvjax.records import PyTree
-from rvjax.study import Measured, Problem, Run, Study, candidates, inverse_problem, order_name
+from rvjax.study import Measured, Problem, Run, Study, candidates, inverse_problem, order_name, orders_of
 
 REJECTED = ("REJECTED", "MAX_STEPS", "NONFINITE")
 """Statuses without a result."""
@@ -28,7 +29,7 @@ class Band:
     """One measured run and the prediction of the identified unit.
 
     Attributes:
-        run: as measured.
+        run: as measured, without drift, lines and bad readings.
         angle: of the output, rad (n,).
         value: predicted error, rad (n,).
         lower: of the 95 % band.
@@ -78,6 +79,18 @@ class Identified:
         if self.posterior is not None:
             return bool(self.posterior.adequate) and self.posterior.status not in REJECTED
         return None if self.batch is None else not any(status in REJECTED for status in self.batch.status)
+
+    @property
+    def findings(self) -> dict[str, tuple[Finding, ...]]:
+        """Findings of every measurement, by unit and conditions."""
+        kind, found = KINDS[self.problem.kind], {}
+        parts = getattr(self.study.design, "orders", {})
+        for item in (item for items in self.problem.items for item in items):
+            name = f"{item.at.unit} {item.at.text()}".strip()
+            while name in found:
+                name += " again"
+            found[name] = kind.findings(item, parts)
+        return found
 
     @property
     def silent(self) -> list[str]:
@@ -193,6 +206,8 @@ def _bands(case: Problem, found: identify.Posterior) -> tuple[Band, ...]:
     bands = []
     for r, run in enumerate(case.items[0]):
         assert isinstance(run, Run)
+        judged = judge(run, orders_of(study.design))
+        run = replace(run, angle=judged.angle, error=judged.error)  # without drift, lines and bad readings
         value, half = curve(mean, r), 1.96 * np.sqrt(np.sum(curve(changes, r) ** 2, axis=0))
         fitted = identify.orders(run.angle, run.error, sorted({1, *orders}))
         one = complex(np.asarray(fitted.value)[0])

@@ -10,8 +10,9 @@ import rvjax
 from rvjax.commands.identify.compute import Band, Identified
 from rvjax.commands.identify.words import elements, field_of
 from rvjax.identify import mapped_values
+from rvjax.measured import judge
 from rvjax.render import Figure
-from rvjax.study import Loop
+from rvjax.study import Loop, Run, orders_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,6 +29,11 @@ def figures(found: Identified) -> Iterator[Figure]:
     for k, band in enumerate(found.bands[:RUNS], 1):
         caption = f"Measured and identified transmission error, {band.run.at.text()}"
         yield Figure(f"curve_{k}", caption, partial(_curve, band))
+        yield Figure(
+            f"measurement_{k}",
+            f"Readings, their contents and the rest, {band.run.at.text()}",
+            partial(_contents, found, k - 1),
+        )
     if inputs.kind == "curve":
         yield Figure("orders", "Residual of each order, and the noise", partial(_orders, found))
     if inputs.kind == "loop" and isinstance(loop := inputs.items[0][0], Loop):
@@ -52,6 +58,16 @@ def _curve(band: Band) -> "Axes":
         lower=band.lower,
         upper=band.upper,
         title=band.run.at.text(),
+    )
+
+
+def _contents(found: Identified, place: int) -> "Axes":
+    run = found.problem.items[0][place]
+    assert isinstance(run, Run)
+    judged = judge(run, orders_of(found.study.design))
+    model, used = judged.model, np.isin(judged.model.angle, judged.angle)  # no bad reading
+    return rvjax.plotting.compensation.contents(
+        model.angle[used], model.value[used], (model.value - model.residual)[used], title=run.at.text()
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from rvjax import identify
 from rvjax._ground.columns import place_of
 from rvjax._ground.files import versions
+from rvjax.commands import measurement
 from rvjax.commands.identify.compute import Identified
 from rvjax.commands.identify.figures import figures
 from rvjax.commands.identify.head import head_of
@@ -105,6 +106,8 @@ def _content(found: Identified, drawn: dict[str, Figure]) -> list[Content]:
     unknown = f"The data do not determine {', '.join(silent)}: only the limits of the drawing are known."
     said = [verdict_line(found), *([unknown] if silent else [])]
     content: list[Content] = [Note(headline(found), only_text), Note("\n".join(said), only_text)]
+    if doubts := measurement.warnings(found.findings):
+        content.append(Note("\n".join(doubts)))
     if curves := [figure for name, figure in drawn.items() if name.startswith(("curve_", "loop"))]:
         points = (
             "Points: measured values without order 1 (and without their mean, if the study has no offset). The band "
@@ -114,6 +117,7 @@ def _content(found: Identified, drawn: dict[str, Figure]) -> list[Content]:
         parts: list[Note | Table | Figure] = [Note(points, only_page), *curves]
         parts += [Note(f"{left} more runs are not plotted.", only_page)] if left > 0 else []
         content.append(Section("Measured and identified", (*parts, *_named(drawn, "orders"))))
+    content += measurement.section(found.findings, [f for name, f in drawn.items() if name.startswith("measurement")])
     content.append(Section("Identifiable errors", (_seen(found), *([Note(unknown, only_page)] if silent else []))))
     content.append(Section("Every element", (*_named(drawn, "elements"), *_elements(found))))
     if found.problem.notes:
@@ -315,6 +319,7 @@ def _data(found: Identified) -> dict[str, object]:
         said["draws"] = {key: getattr(found.draws, key) for key in ("trusted", "r_hat", "ess", "divergences")}
     best = next(iter(found.gains or {}), None)
     said["next"] = None if best is None else {"chosen": best, "gains": found.gains}
+    said["measurement"] = {name: measurement.as_data(several) for name, several in found.findings.items()}
     said |= {"noise": found.problem.sd, "runs": [run.text() for run in found.problem.runs]}
     said |= {"notes": list(found.problem.notes)} if found.problem.notes else {}
     return said | {"seed": found.study.seed, "versions": versions()}

@@ -14,7 +14,7 @@ from rvjax.study.kinds.following import (
 )
 from rvjax.study.kinds.kind import Assumed as Assumed, Drawing as Drawing, Kind as Kind, Known as Known, Start as Start
 
-__all__ = ["KINDS", "Kind", "changed", "facts_of", "kind_of"]
+__all__ = ["KINDS", "Kind", "changed", "facts_of", "kind_of", "orders_of"]
 
 KINDS: dict[type, Kind] = {kind.design: kind for kind in (rv.KIND, cam_roller.KIND)}
 """By the class of the design. A new kind of reducer is a module here, and its `KIND` in this tuple."""
@@ -29,6 +29,12 @@ def kind_of(design: object) -> Kind:
 def facts_of(design: object) -> Iterable[tuple[str, str]]:
     """(name, value) of what follows from the numbers of a design; nothing for a class that is not in `KINDS`."""
     return kind_of(design).facts(design)
+
+
+def orders_of(design: object) -> Mapping[str, float]:
+    """{part: order of the output revolution that it causes}; empty where no bench measures the curve of a design."""
+    orders = kind_of(design).orders
+    return orders(design) if orders else {}
 
 
 def changed(

@@ -140,7 +140,7 @@ class Kind:
         rated: rated torque of known reducers by name, N m.
         speed: largest speed of the output of known reducers, rad/s.
         of_another_size: (design, torque) -> line on a rated torque that belongs to a reducer of another size, or "".
-        orders: design -> orders of the output revolution of its parts; None where no bench measures its curve.
+        orders: design -> {part: order of the output revolution}; None where no bench measures its curve.
         unit_errors: `rvjax.mounting.unit_errors` or its like; None where no parts are matched.
         drawing: to scale; None: no drawing.
         starts: new studies by model, the usual one first.
@@ -162,7 +162,7 @@ class Kind:
     rated: Mapping[str, float] = field(default_factory=dict)
     speed: float = math.inf
     of_another_size: Callable[[Any, float], str] = _no_text
-    orders: Callable[[Any], tuple[int, ...]] | None = None
+    orders: Callable[[Any], Mapping[str, float]] | None = None
     unit_errors: Callable[..., Any] | None = None
     drawing: Drawing | None = None
     starts: Mapping[str, Start] = field(default_factory=dict)

@@ -1,5 +1,6 @@
 """RV reducers."""
 
+from operator import attrgetter
 from typing import Any
 
 from rvjax._reducer.plausible import shown
@@ -10,11 +11,6 @@ from rvjax.study.kinds.rv.facts import DERIVED_FROM, FOLLOWING, derivation, fact
 from rvjax.study.kinds.rv.plausible import RATED as RATED, SPEED, TORQUE as TORQUE, doubts, of_another_size, refuse
 from rvjax.study.kinds.rv.sizes import NEEDED, rated_torque
 from rvjax.study.kinds.rv.starts import STARTS
-
-
-def _orders(design: RVReducer) -> tuple[int, ...]:
-    """Of pins, teeth of a disc, and sun."""
-    return design.cycloid.pin_count, design.cycloid.disc_teeth, round(design.ratio)
 
 
 def _caption(design: RVReducer) -> str:
@@ -53,7 +49,7 @@ KIND = Kind(
     rated=RATED,
     speed=SPEED,
     of_another_size=of_another_size,
-    orders=_orders,
+    orders=attrgetter("orders"),
     unit_errors=unit_errors,
     drawing=Drawing(_drawn, _caption, _compared, "Section of the second stage, drawn to scale, before and after"),
     starts=STARTS,

@@ -1,0 +1,283 @@
+"""Curves of a bench: nothing is corrected into something worse.
+
+Oracle: the curve from which the readings are made. "Rest" is the rms of the curve less the table on 7,200 angles.
+"""
+
+import numpy as np
+import pytest
+
+from rvjax import catalogue, measured
+from rvjax._ground.linear import svd
+from rvjax.measured import findings, judge
+from rvjax.measured.sampling import legs, places, repetition
+from rvjax.units import arcsec, deg
+from tests.measured_cases import NOISE, PARTS, TRUTH, curve, equal, evaluated, noise, run, said
+
+# Sampling
+
+
+def test_the_angles_repeat_at_the_number_of_equal_steps():
+    rng = np.random.default_rng(0)
+    for count in (12, 118, 720):
+        assert repetition(equal(count) * deg, 1500.0) == count
+    assert repetition(equal(720, 2) * deg, 1500.0) == 720
+    assert repetition(np.arange(0, 340, 0.5) * deg, 1500.0) == 720
+    assert repetition(np.linspace(0, 2 * np.pi, 73), 1500.0) == 72  # the last place is the first
+    assert repetition(np.sort(rng.uniform(0, 2 * np.pi, 300)), 1500.0) == np.inf
+    jitter = lambda share: (equal(118) + share * 360 / 118 * rng.uniform(-1, 1, 118)) * deg  # noqa: E731
+    assert repetition(jitter(0.1), 1500.0) == pytest.approx(118, abs=1)  # correlation sin(0.2 pi)/(0.2 pi) = 0.94
+    assert repetition(jitter(0.4), 1500.0) == np.inf  # 0.23
+
+
+@pytest.mark.parametrize(
+    ("points", "order", "looks"),
+    [
+        (36, 39, 3),
+        (36, 40, 4),
+        (72, 39, 33),
+        (90, 80, 10),
+        (118, 78, 40),
+        (120, 80, 40),
+        (144, 105, 39),
+        (145, 105, 40),
+    ],
+)
+def test_an_order_of_the_reducer_that_looks_like_another_is_not_stored(points, order, looks):
+    angle = equal(points)
+    truth = {order: 3.0 * np.exp(0.4j)}
+    judged, _, stored, rest = evaluated(angle, curve(angle * deg, truth) + noise(points), truth=truth)
+    assert stored == [] and rest == pytest.approx(3 / np.sqrt(2), rel=1e-6)
+    text = [finding.text for finding in findings(judged) if finding.name == "orders alike"]
+    assert any(f"{points} points: order {order} (" in line and line.endswith(f"looks like {looks}") for line in text)
+
+
+def test_orders_that_are_resolved_are_stored_at_any_density():
+    rng = np.random.default_rng(1)
+    for angle in (equal(180), equal(240), np.sort(rng.uniform(0, 360, 72)), equal(720), equal(180, 2)):
+        _, fit, stored, rest = evaluated(angle, curve(angle * deg) + noise(len(angle)))
+        assert stored == [39, 40, 78] and rest < 0.1 and fit.unsure == {}
+
+
+@pytest.mark.parametrize(
+    ("points", "order", "looks"), [(720, 650, 70), (720, 648, 72), (720, 700, 20), (720, 525, 195), (360, 324, 36)]
+)
+def test_an_order_of_the_motor_is_not_stored(points, order, looks):
+    """72, 70 and 20 are no orders of the reducer; 36 is near 39, but 324 = 4 x 81 of a sun looks like it."""
+    angle = equal(points)
+    error = curve(angle * deg, TRUTH | {order: 2.0}) + noise(points)
+    parts = PARTS | {"sun": 81.0, "sun against the carrier": 80.0} if order % 81 == 0 else PARTS
+    _, fit, stored, rest = evaluated(angle, error, parts)
+    assert stored == [39, 40, 78] and rest < 0.1
+    if looks <= 89:  # of 720 points that many orders are fitted
+        assert f"order {order}" in fit.unsure[looks]
+    angle = equal(1800)  # at these angles nothing looks like it
+    _, _, stored, _ = evaluated(angle, curve(angle * deg, TRUTH | {70: 2.0}) + noise(1800))
+    assert stored == [39, 40, 70, 78]
+
+
+def test_singular_values_where_the_fast_driver_fails(monkeypatch):
+    """Over three whole turns all singular values are equal; LAPACK's fast driver may not converge."""
+    matrix = np.random.default_rng(0).standard_normal((30, 4))
+    due = np.linalg.svd(matrix, compute_uv=False)
+
+    def fails(*_, **__):
+        raise np.linalg.LinAlgError
+
+    monkeypatch.setattr(np.linalg, "svd", fails)
+    left, size, right = svd(matrix)
+    np.testing.assert_allclose(size, due, rtol=1e-12)
+    np.testing.assert_allclose(left * size @ right, matrix, atol=1e-12)
+
+
+def test_a_high_order_at_uneven_angles_does_not_leak():
+    rng = np.random.default_rng(2)
+    angle = equal(720) + rng.uniform(-0.2, 0.2, 720)
+    judged, _, stored, rest = evaluated(angle, curve(angle * deg, TRUTH | {650: 2.0}) + noise(720))
+    assert stored == [39, 40, 78] and rest < 0.1
+    assert said(judged)["highest resolved order"].value == 12 * 105
+
+
+# Drift, steps, bad readings
+
+
+@pytest.mark.parametrize(("slope", "turns"), [(0.5, 1), (10, 1), (-10, 2), (60, 1), (1236, 1)])
+def test_a_drift_is_reported_and_not_stored(slope, turns):
+    angle = equal(720, turns)
+    judged, _, stored, rest = evaluated(angle, curve(angle * deg) + slope * angle / 360 + noise(len(angle)))
+    assert stored == [39, 40, 78] and rest < 0.1
+    found = said(judged)["drift per revolution"]
+    assert found.warning and found.value == pytest.approx(slope * arcsec, abs=0.2 * arcsec)
+    assert said(judged)["closure"].value == pytest.approx(slope * turns * arcsec, rel=0.05, abs=0.3 * arcsec)
+
+
+@pytest.mark.parametrize("constant", [10, 60, 150, 400])
+def test_a_warm_up_is_reported_and_not_stored(constant):
+    angle = equal(720)
+    error = curve(angle * deg) + 12 * (1 - np.exp(-angle / constant)) + noise(720)
+    judged, _, stored, rest = evaluated(angle, error)
+    assert stored == [39, 40, 78] and rest < 0.1
+    assert said(judged)["warm-up"].value == pytest.approx(12 * arcsec, rel=0.1)
+
+
+def test_low_orders_stay_beside_a_drift():
+    truth = TRUTH | {2: 5.0j, 3: 2.0, 5: 1.0}
+    angle = equal(720)
+    _, _, stored, rest = evaluated(angle, curve(angle * deg, truth) + 10 * angle / 360 + noise(720), truth=truth)
+    assert stored == [2, 3, 5, 39, 40, 78] and rest < 0.1
+
+
+@pytest.mark.parametrize(("size", "at"), [(5, 137.0), (2, 40.0), (-8, 350.0)])
+def test_a_lost_step_is_refused_with_its_place(size, at):
+    angle = equal(720)
+    error = curve(angle * deg) + size * (angle > at) + noise(720)
+    where = rf"a.csv.*jumps by .* arcsec at {at + 0.5} deg \(row {int(2 * at) + 3}\)"
+    with pytest.raises(ValueError, match=where) as caught:
+        judge(run(angle, error, rows=np.arange(720) + 2), PARTS)
+    assert float(str(caught.value).split("jumps by ")[1].split()[0]) == pytest.approx(size, abs=0.15)
+
+
+@pytest.mark.parametrize("rows", [(100,), (0,), (719,), (50, 51, 400)])
+def test_a_bad_reading_is_named_and_left_out(rows):
+    angle, error = equal(720), curve(equal(720) * deg) + noise(720)
+    error[list(rows)] += 3600
+    judged = judge(run(angle, error, rows=np.arange(720) + 2), PARTS)
+    assert evaluated(angle, error)[2] == [39, 40, 78] and evaluated(angle, error)[3] < 0.1
+    named = [f.text for f in findings(judged) if f.name == "bad reading"]
+    assert sorted(int(text.split(",")[0].removeprefix("row ")) for text in named) == [row + 2 for row in rows]
+
+
+# Noise
+
+
+def remembers(count, share, seed, sd=0.6):
+    rng = np.random.default_rng(seed)
+    value, kept = 0.0, []
+    for fresh in sd * rng.standard_normal(count + 200):
+        value = share * value + fresh
+        kept.append(value)
+    return np.array(kept[200:])
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.8, 0.95, 1.0])
+def test_noise_with_memory_is_not_stored(share):
+    for seed in (0, 1, 2, 3, 46):  # the last random walk has a large order 2
+        error = remembers(720, share, seed)
+        assert evaluated(equal(720), error)[2] == [], seed
+    error += curve(equal(720) * deg)  # three orders in such noise are
+    assert evaluated(equal(720), error)[2] == [39, 40, 78]
+
+
+def test_a_low_order_in_noise_with_memory_is_stored():
+    truth = {3: 4.0, 39: 3.0, 80: 2.0j}
+    error = curve(equal(720) * deg, truth) + remembers(720, 0.8, 7)
+    judged, fit, stored, rest = evaluated(equal(720), error, truth=truth)
+    assert stored == [3, 39, 80] and rest < 0.3 and fit.colour > 2
+    assert said(judged)["memory of the noise"].value == pytest.approx(0.8, abs=0.1)
+
+
+def test_independent_readings_have_the_level_of_independent_readings():
+    """The sd of an order is noise sqrt(2/n); a level of 1 keeps the decision that a white spectrum has."""
+    flat = 0
+    for seed in range(10):
+        _, fit, stored, _ = evaluated(equal(720), curve(equal(720) * deg) + noise(720, seed))
+        assert stored == [39, 40, 78]
+        flat += fit.colour == 1
+        assert np.median(fit.found.sd) == pytest.approx(NOISE * arcsec * np.sqrt(2 / 720), rel=0.2)
+    assert flat >= 6  # nine of ten by the test of the level
+
+
+# Orders that are no whole numbers
+
+
+@pytest.mark.parametrize("order", [3.5, 12.34, 66.1, 66.5, 66.6, 100.3])
+@pytest.mark.parametrize("turns", [1, 3])
+def test_a_line_between_whole_orders_is_named_and_does_not_leak(order, turns):
+    angle = equal(720, turns)
+    error = curve(angle * deg, TRUTH | {order: 1.5j}) + noise(len(angle))
+    judged, _, stored, rest = evaluated(angle, error)
+    assert stored == [39, 40, 78] and rest < 0.1
+    (line,) = judged.found("line")
+    assert line.at == pytest.approx(order, abs=0.02 / turns)
+    assert said(judged)[f"order {line.at:.5g}"].value == pytest.approx(1.5 * arcsec, rel=0.05)
+
+
+def test_the_sun_of_a_ratio_that_is_no_whole_number_is_named():
+    design = catalogue.RV_40E.replace(involute=catalogue.RV_40E.involute.replace(sun_teeth=13, planet_teeth=23))
+    assert design.orders["sun"] == pytest.approx(1 + 23 * 40 / 13) and design.orders["disc teeth"] == 39
+    angle = equal(720)
+    error = curve(angle * deg, TRUTH | {design.orders["sun"]: 1.08}) + noise(720)
+    judged, _, stored, rest = evaluated(angle, error, design.orders)
+    assert stored == [39, 40, 78] and rest < 0.1
+    assert said(judged)["order 71.769"].text.startswith("sun: ")
+
+
+def test_neighbouring_whole_orders_are_no_line():
+    truth = TRUTH | {41: 1.0, 42: 1.0j, 43: 0.5}
+    _, fit, stored, rest = evaluated(equal(720), curve(equal(720) * deg, truth) + noise(720), truth=truth)
+    assert stored == [39, 40, 41, 42, 43, 78] and rest < 0.1 and fit.unsure == {}
+
+
+# Strokes, repeated readings, passes
+
+
+@pytest.mark.parametrize("stroke", [340, 300, 200, 90])
+def test_the_orders_of_the_reducer_are_known_from_a_part_of_a_turn(stroke):
+    angle = np.arange(0, stroke + 0.25, 0.5)
+    truth = TRUTH | {80: 1.0, 2: 2.0, 3: 1j} if stroke > 250 else TRUTH
+    judged, fit, stored, rest = evaluated(angle, curve(angle * deg, truth) + noise(len(angle)), truth=truth)
+    assert stored == sorted(truth) and rest < 0.15
+    found = said(judged)["stroke"]
+    assert found.warning and f"{stroke} deg of 360" in found.text and "closure" not in said(judged)
+    at = {order: place for place, order in enumerate(fit.found.order.tolist())}
+    if stroke == 340:
+        assert fit.found.sd[at[39]] / arcsec == pytest.approx(NOISE * np.sqrt(2 / 680), rel=0.2)  # 0.011
+
+
+@pytest.mark.parametrize("repeated", [False, True])
+def test_a_gap_in_the_revolution_is_a_stroke_below_a_revolution(repeated):
+    """A sensor that fails over 20 deg; three sweeps of a joint that moves 340 deg, whose angle wraps to 0."""
+    sweep = np.arange(0, 340, 0.5)
+    angle = np.concatenate([sweep, sweep + 360, sweep + 720]) if repeated else np.delete(equal(720), range(200, 240))
+    judged, _, stored, rest = evaluated(angle, curve(angle * deg) + noise(len(angle)))
+    assert stored == [39, 40, 78] and rest < 0.1 and not judged.sampling.whole
+    assert said(judged)["gap in the revolution"].value == pytest.approx(20.5 * deg)
+    uneven = np.sort(np.random.default_rng(6).uniform(0, 360, 400))
+    assert judge(run(uneven, noise(400)), PARTS).sampling.whole
+
+
+def test_what_a_short_stroke_does_not_determine_is_not_stored():
+    angle = np.arange(0, 45, 0.5)
+    _, fit, stored, rest = evaluated(angle, curve(angle * deg) + noise(90))
+    assert stored == [78] and set(fit.unsure) >= {39, 40} and rest < 4.18
+    assert set(fit.unsure.values()) == {"the stroke does not determine it"}
+
+
+@pytest.mark.parametrize(("times", "spread"), [(3, 0.0), (5, 0.001), (12, 0.0)])
+def test_repeated_readings_of_a_place_are_one_place(times, spread):
+    rng = np.random.default_rng(3)
+    angle = np.repeat(equal(180), times) + spread * rng.uniform(-1, 1, 180 * times)
+    common = np.repeat(noise(180), times)  # of a place: more readings do not reduce it
+    judged, fit, stored, rest = evaluated(angle, curve(angle * deg) + common + 0.1 * noise(180 * times, 1))
+    assert (judged.sampling.points, judged.sampling.readings) == (180, 180 * times) and judged.sampling.whole
+    assert stored == [39, 40, 78] and rest < 0.1
+    assert np.median(fit.found.sd) / arcsec == pytest.approx(NOISE * np.sqrt(2 / 180), rel=0.25)
+    whole = measured.checked(run(angle, 0 * angle), 40)  # identification takes it too
+    assert len(whole.angle) == 180 * times
+    same, _, place = places(np.arange(9.0), np.arange(9.0))
+    assert same.tolist() == place.tolist() == list(range(9))
+
+
+def test_passes_are_split_at_reversals_only():
+    there = np.arange(0, 360, 0.5)
+    back = np.concatenate([there, there[::-1]])
+    assert [(leg.start, leg.stop) for leg in legs(back * deg)] == [(0, 720), (720, 1440)]
+    assert len(legs(np.concatenate([back, there]) * deg)) == 3
+    rng = np.random.default_rng(4)
+    for one in (there, there[::-1], rng.permutation(there), there + rng.uniform(-3, 3, 720)):
+        assert len(legs(one * deg)) == 1
+
+
+def test_rows_in_no_order_are_one_turn():
+    angle = np.random.default_rng(5).permutation(equal(720))
+    judged, _, stored, rest = evaluated(np.unwrap(angle, period=360), curve(angle * deg) + noise(720))
+    assert stored == [39, 40, 78] and rest < 0.1 and not judged.found("drift", "step")
