@@ -1,16 +1,21 @@
 """End of a programme: prices of the requirements, margins with their derivatives, and an audit."""
 
+import functools
 import math
+from collections.abc import Callable
 
 import numpy as np
+from scipy import special
 
 from rvjax.tolerances.optimum.decisions import Decisions
 from rvjax.tolerances.optimum.margins import JOINT, Margins
-from rvjax.tolerances.optimum.programme import End
+from rvjax.tolerances.optimum.programme import End, Programme
 
 STATIONARY = 0.1
 """Residual of an optimum by derivatives: it costs less than half of its square."""
 
+_GROUPS = 20  # of units behind the intervals of prices
+_RADIUS = 0.2  # of the step behind a price
 _PROBE = 0.1  # of the audit, logarithm of a half-width
 _PROBES = 32  # at most
 _ASTRAY = 0.4  # part of a probe by which a margin may deviate from its slopes
@@ -27,16 +32,53 @@ def prices(margins: Margins, end: End, x: np.ndarray) -> dict[str, float]:
         end: of the search.
         x: the solution.
     """
-    found = dict.fromkeys(margins.requirements, 0.0)
+    return _pricing(margins, end, x)(end.prices)
+
+
+def _pricing(margins: Margins, end: End, x: np.ndarray) -> Callable[[np.ndarray], dict[str, float]]:
+    """Prices of the requirements as a function of the prices (c,) of the margins at an end."""
     kept = 1 - end.point.moved / margins.central_ways(x)
     kept[margins.exact] = 1.0
-    for name, price, way, part in zip(margins.names, end.prices, margins.ways, kept):
-        if name in found:
-            found[name] += float(price / way * part)
-    if JOINT in margins.names[len(margins.rows) :]:
-        for name, part in margins.leading(x).items():
-            found[name] += float(end.prices[-1]) * part
-    return found
+    leading = margins.leading(x) if JOINT in margins.names[len(margins.rows) :] else {}
+
+    def priced(prices: np.ndarray) -> dict[str, float]:
+        found = dict.fromkeys(margins.requirements, 0.0)
+        for name, price, way, part in zip(margins.names, prices, margins.ways, kept):
+            if name in found:
+                found[name] += float(price / way * part)
+        for name, part in leading.items():
+            found[name] += float(prices[-1]) * part
+        return found
+
+    return priced
+
+
+def intervals(
+    margins: Margins, end: End, x: np.ndarray, low: np.ndarray, high: np.ndarray, confidence: float
+) -> dict[str, tuple[float, float]]:
+    """Intervals of the prices of followed units, by their sampling error: no unit is solved for them.
+
+    Each of some groups of units is left out in turn (jackknife, Tukey 1958). Limits that no unit decides have none.
+
+    Args:
+        margins: of the search, whose units are followed.
+        end: of the search.
+        x: the solution.
+        low: (n,) bounds of its vector.
+        high: (n,) bounds of its vector.
+        confidence: of the intervals.
+    """
+    priced, elastic = _pricing(margins, end, x), np.maximum(4 * end.prices, 2 * abs(end.point.total))
+    found = []
+    for tails in margins.tails.parts(_GROUPS):
+        look = functools.partial(margins.of_tails, tails)
+        there = Programme(look, low, high, margins.decisions.reach, 1, elastic=elastic)
+        found.append([*priced(there.run(end.point.x, _RADIUS, end.curvature).prices).values()])
+    error = np.std(found, axis=0) * math.sqrt(_GROUPS - 1)
+    wide = float(special.stdtrit(_GROUPS - 1, (1 + confidence) / 2)) * error
+    values = priced(end.prices)
+    limited = [(name, by) for (name, item), by in zip(margins.requirements.items(), wide) if item.of_sample]
+    return {name: (values[name] - float(by), values[name] + float(by)) for name, by in limited}
 
 
 def margins_of(

@@ -40,10 +40,6 @@ class HalfWidths:
         point, possible = self.search.opened(start)
         return self._cheapest(point, start) if possible else self._finest()
 
-    def ranges(self, found: Found) -> dict[str, tuple[float, float]]:
-        """None: no number of the design was chosen."""
-        return {}
-
     def graded(self, found: Found) -> tuple[Found, dict[str, str]]:
         """A solution with its half-widths rounded to grades, and the grades."""
         rounding = Rounding(self.search, self.certifier, self.problem.priced)

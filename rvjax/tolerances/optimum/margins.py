@@ -66,17 +66,19 @@ class Margins:
         memo: Memo | None = None,
         losses: Mapping[str, QuadraticLoss] | None = None,
         lossy: int = 0,
+        sloped: int = PULLED,
     ) -> None:
         """Constraints on `samples` units, and `losses` of `lossy` others.
 
         The mean of `losses` is part of the objective. Costly units behind it are few, and followed as those in the
-        tails are.
+        tails are, `sloped` of each response with gradients.
         """
         self.decisions, self.requirements, self.objective = decisions, requirements, objective
         self.joint_target, self.samples, self.seed = joint_target, samples, seed
         self.response = response
         wanted = {name for name, item in requirements.items() if item.of_sample}
         self._units = AnchoredUnits(response, decisions, wanted, memo)
+        self._units.sloped = sloped
         self._outputs = response_names(response, decisions.base)
         self.rows = [Constraint(n, i) for n, i in requirements.items() if i.of_shares]
         self._shares = len(self.rows)
@@ -125,6 +127,12 @@ class Margins:
         self.offsets[self.exact] = _INSET * self.ways[self.exact]
         self.replace_sample(x)
 
+    def begin_like(self, other: "Margins") -> None:
+        """Take the ways of the margins and the places in the tails of another sample."""
+        self.ways, self.widths, self._centres = other.ways.copy(), other.widths.copy(), other._centres
+        self.offsets[self.exact] = _INSET * self.ways[self.exact]
+        self.tails = TailSample(self.decisions.base.numbers, self.samples, self.seed, other.tails.centres)
+
     def replace_sample(self, x: np.ndarray) -> None:
         """Units in the tails as they lie at x."""
         if not self._shares:
@@ -139,7 +147,8 @@ class Margins:
             order = order[np.isfinite(margins[order])]
             beyond = np.cumsum(self.tails.weights[order[::-1]])[::-1] / self.samples
             at = min(int(np.searchsorted(-beyond, -(1 - target))), max(len(order) - PULLED // 2, 0))
-            units = order[max(0, at - PULLED // 2) : max(0, at - PULLED // 2) + PULLED]
+            first = max(0, at - self._units.sloped // 2)
+            units = order[first : first + self._units.sloped]
             if not len(units):
                 continue
             cotangents = {name: pull[units] for name, pull in shared.outward.items()}
@@ -224,6 +233,13 @@ class Margins:
             x, decisions.cost(x), slopes, bends, float(priced) + loss, towards + pulled, margins,
             jacobian / self.ways[:, None], self.offsets / self.ways,
         )  # fmt: skip
+
+    def of_tails(self, tails: TailSample, x: np.ndarray) -> Local:
+        """The same with the units in the tails of another sample, or with other weights of these."""
+        kept, self.tails = self.tails, tails
+        found = self.look(x)
+        self.tails = kept
+        return found
 
     def missed(self, point: Local) -> np.ndarray:
         """Excess (e,) of the limits without sampling error, in parts of their ways."""

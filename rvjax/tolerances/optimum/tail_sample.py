@@ -9,8 +9,10 @@ A quantile is that of margins with a normal error of small width h: sum w Phi((m
 differentiable, and its derivative is the mean of the derivatives of units, weighted by w phi((margin - q)/h).
 """
 
+import copy
 import dataclasses
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from scipy import optimize, special
@@ -94,6 +96,14 @@ class TailSample:
         for place, count in zip(centres.places, counts):
             density += count / samples * np.exp(np.clip(place @ self.z - place @ place / 2, -700, 700))
         self.weights = 1 / density
+
+    def parts(self, count: int) -> Iterator["TailSample"]:
+        """The sample without one of `count` random groups of units, which have no weight, for each group."""
+        group = np.random.default_rng(len(self.weights)).permutation(len(self.weights)) % count
+        for k in range(count):
+            found = copy.copy(self)
+            found.weights = np.where(group == k, 0.0, self.weights * len(group) / (group != k).sum())
+            yield found
 
     def _place(self, along: np.ndarray, distance: float, units: slice, rng: np.random.Generator) -> None:
         """Units about a centre, stratified along its direction."""
