@@ -50,6 +50,8 @@ class Designer:
         self.certifier = Certifier(problem.run, problem.joint_target, follows=self.follows)
         self.samples: list[Margins] = []
         self.starts: list[dict[str, Any]] = []
+        self.allowed = 0
+        """Units that the search may solve, if they are costly and there are several starts."""
 
     def solution(self) -> Found:
         """The cheapest certified vector, or the least shortage; values of units only where these are few."""
@@ -144,6 +146,7 @@ class Designer:
     def _sample(self, most: int, sloped: int = PULLED) -> Margins:
         """A sample, whose units count."""
         self.samples.append(self.problem.margins(self.decisions, most, sloped=sloped))
+        self.samples[-1].mirrored = self.follows and self.decisions.size > len(self.decisions.fields)
         return self.samples[-1]
 
     def _evaluated(self) -> int:
@@ -164,10 +167,11 @@ class Designer:
         given, pairs = margins.evaluated, [(margins, end)]
         small.begin_like(margins)
         most = given + self.problem.run.samples
+        self.allowed = given + most
         found = searched(small, [end.point.x, *several], self.low, self.high, most / 2)
         self.starts = told(self.decisions, [start, *several], found, small.samples)
         for rival in rivals(found, first):
-            if self._evaluated() + given / 2 > given + most or not apart(rival, end, first):
+            if self._evaluated() + given / 2 > self.allowed or not apart(rival, end, first):
                 continue
             small.anchor = None
             small.replace_sample(rival.point.x)
@@ -332,7 +336,7 @@ class Designer:
         coarse.begin(found.end.point.x)
         if self.follows:
             coarse.follow(found.end.point.x)
-        most = self.problem.run.samples if self.follows else math.inf
+        most = max(self.allowed - self._evaluated(), self.problem.run.samples) if self.follows else math.inf
         return ranges(coarse, self.decisions, found.end, self.low, self.high, most)
 
     def graded(self, found: Found) -> tuple[Found, dict[str, str]]:

@@ -5,16 +5,15 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from scipy import special
 
 from rvjax.tolerances.optimum.decisions import Decisions
+from rvjax.tolerances.optimum.jackknife import half_interval
 from rvjax.tolerances.optimum.margins import JOINT, Margins
 from rvjax.tolerances.optimum.programme import End, Programme
 
 STATIONARY = 0.1
 """Residual of an optimum by derivatives: it costs less than half of its square."""
 
-_GROUPS = 20  # of units behind the intervals of prices
 _RADIUS = 0.2  # of the step behind a price
 _PROBE = 0.1  # of the audit, logarithm of a half-width
 _PROBES = 32  # at most
@@ -58,7 +57,6 @@ def intervals(
 ) -> dict[str, tuple[float, float]]:
     """Intervals of the prices of followed units, by their sampling error: no unit is solved for them.
 
-    Each of some groups of units is left out in turn (jackknife, Tukey 1958). Limits that no unit decides have none.
 
     Args:
         margins: of the search, whose units are followed.
@@ -70,15 +68,12 @@ def intervals(
     """
     priced, elastic = _pricing(margins, end, x), np.maximum(4 * end.prices, 2 * abs(end.point.total))
     found = []
-    for tails in margins.tails.parts(_GROUPS):
+    for tails in margins.tails.parts():
         look = functools.partial(margins.of_tails, tails)
         there = Programme(look, low, high, margins.decisions.reach, 1, elastic=elastic)
         found.append([*priced(there.run(end.point.x, _RADIUS, end.curvature).prices).values()])
-    error = np.std(found, axis=0) * math.sqrt(_GROUPS - 1)
-    wide = float(special.stdtrit(_GROUPS - 1, (1 + confidence) / 2)) * error
-    values = priced(end.prices)
-    limited = [(name, by) for (name, item), by in zip(margins.requirements.items(), wide) if item.of_sample]
-    return {name: (values[name] - float(by), values[name] + float(by)) for name, by in limited}
+    values, by = priced(end.prices), dict(zip(margins.requirements, map(float, half_interval(found, confidence))))
+    return {name: (value - by[name], value + by[name]) for name, value in values.items()}
 
 
 def margins_of(

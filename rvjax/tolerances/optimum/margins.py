@@ -98,6 +98,8 @@ class Margins:
         numbers = decisions.base.numbers
         self.tails = TailSample(numbers, samples, seed)
         self._centres: dict[int, Centres] = {}
+        self.mirrored = False
+        """Whether both limits of a response have units, though one decides: numbers of the design may move it."""
         self.lines: dict[int, LimitLines] = {}
         self.losses = MeanLoss(response, decisions, losses or {}, lossy, seed, memo)
         self.plain = SobolPoints(numbers, seed).z(0, samples) if self._plain else np.zeros((numbers, 0))
@@ -159,6 +161,13 @@ class Margins:
             sizes = np.linalg.norm(slopes, axis=0)
             self.widths[self._row(k)] = WIDTH * float(np.median(sizes)) or WIDTH * self.ways[self._row(k)]
             placed = centres_of(self.tails.z[:, units], slopes, weights, float(special.ndtri(max(target, 0.6))))
+            if len(placed.places) and self.mirrored and k < self._shares:
+                row, z = self.rows[k], self.tails.z[:, units]
+                outward = cotangents[row.name]
+                centre = float(np.median(values[row.name][units] - outward * (slopes * z).sum(axis=0)))
+                ways = row.item.upper - centre, centre - row.item.lower
+                this, other = ways if weights @ outward > 0 else ways[::-1]
+                placed = placed.mirrored(other / this if this > 0 else 0.0)
             if len(placed.places):
                 self._centres[self._row(k)] = placed
                 found.append(placed)
