@@ -332,7 +332,7 @@ class Designer:
         """Values of each number with which the cost stays within 0.5 %; of costly units as a certificate has units."""
         if found.end is None or not self.problem.variables or self.problem.costly != self.follows:
             return {}
-        coarse = self._sample(COARSE, FEW if self.follows else PULLED)
+        coarse = self._sample(COARSE // 2, FEW // 2) if self.follows else self._sample(COARSE)
         coarse.begin(found.end.point.x)
         if self.follows:
             coarse.follow(found.end.point.x)

@@ -69,7 +69,9 @@ class HalfWidths:
             settled=settled, stationary=True,
         )  # fmt: skip
         found = self._found(status, half_widths, certificate, learned, prices, nothing, search.residual(point), settled)
-        return dataclasses.replace(found, intervals=intervals)
+        # Certified half-widths cost more, as if limits were nearer: prices grow with the cost.
+        dearer = max(search.cost(half_widths) / learned, 1.0)
+        return dataclasses.replace(found, intervals={n: (low, dearer * high) for n, (low, high) in intervals.items()})
 
     def _certified(self, point: Point, start: np.ndarray) -> tuple[np.ndarray, Statistics]:
         """The cheapest certified set: what was found, tightened where need be, or the start, or the finest."""

@@ -166,8 +166,8 @@ def ranges(
             held = functools.partial(solved, best.point.x, k)
             first = way if costly and way > 0 else _OFF
             way = _way(held, best, at, sign, abs(float(limit) - at), float(slope), allowed, first, costly)
-            ends.append(item.lower + (at + sign * way) * (item.upper - item.lower))
-        ends += [decisions.values(end.point.x)[name]] if costly else []  # few units have another best value
+            there = min(max(float(end.point.x[k]) + sign * way, 0.0), 1.0) if costly else at + sign * way
+            ends.append(item.lower + there * (item.upper - item.lower))  # few costly units have another best value
         found[name] = min(ends), max(ends)
     return found
 
