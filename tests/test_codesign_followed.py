@@ -51,6 +51,16 @@ def all_solved():
         return allocate(Living(costly=False), PARTS, NEED, **OPTIONS)
 
 
+pytestmark = pytest.mark.usefixtures("from_one_start")
+
+
+@pytest.fixture
+def from_one_start():
+    """Other starts are in test_codesign_starts.py."""
+    with one_start():
+        yield
+
+
 def margins(samples=512):
     decisions = Decisions(Population.of(PARTS).replace(values={"arm": 2.0}), COSTS, {}, {"arm": ARM})
     made = Margins(response, decisions, NEED, {}, None, samples, 0)

@@ -1,4 +1,4 @@
-"""Costly units: several starts, ranges of numbers, and intervals of prices, against closed forms and solved problems."""
+"""Costly units: several starts, ranges, and intervals of prices, against closed forms and solved problems."""
 
 import dataclasses
 
@@ -17,6 +17,7 @@ from rvjax.tolerances.optimum.designer import Designer
 from rvjax.tolerances.optimum.margins import Margins
 from rvjax.tolerances.optimum.search import Search
 from rvjax.tolerances.optimum.tail_sample import Centres, TailSample
+from rvjax.tolerances.optimum.valleys import searched as valley_ends
 
 CERTIFICATE = 20_000
 
@@ -84,6 +85,19 @@ def lever_within(limit):
     need = {"y": Requirement(lower=-limit, upper=limit, target=0.99)}
     options = OPTIONS | {"variables": {"length": LENGTH}}
     return allocate(Lever(costly=True), PARTS, need, **options)
+
+
+def test_starts_have_a_limit_of_units():
+    """The first is always tried; the next only where as many units are left as one took."""
+    made, there = shifted(0.3)
+    starts = [there, there + 0.1, there - 0.1]
+    low, high = made.decisions.low, made.decisions.high
+    assert len(valley_ends(made, starts, low, high, 1.0)) == 1
+    before = made.evaluated
+    ends = valley_ends(made, starts, low, high, 1e6)
+    assert len(ends) == 3 and all(end.excess < 0.01 for end in ends)
+    used = made.evaluated - before
+    assert len(valley_ends(made, starts, low, high, 0.7 * used)) == 2
 
 
 @pytest.fixture(scope="module")
@@ -188,18 +202,23 @@ class Shifted(Record):
         return {"y": errors["a"] + errors["b"] + values["m"]}
 
 
+def shifted(m):
+    """Margins of y = a + b + m within +-1, begun at a value of m, and the vector there."""
+    cost = dict.fromkeys("ab", ReciprocalPower(reference=1.0, finest=0.05, coarsest=5.0))
+    decisions = Decisions(Population.of(PARTS).replace(values={"m": m}), cost, {}, {"m": Variable(-1.0, 1.0, m)})
+    made = Margins(Shifted(), decisions, {"y": Requirement(lower=-1.0, upper=1.0)}, {}, None, 2048, 0)
+    made.mirrored, there = True, decisions.vector(np.array([0.3, 0.3]), {"m": m})
+    made.begin(there)
+    return made, there
+
+
 def test_both_limits_count_where_a_number_moves_from_one_to_the_other():
     """y = s z + m within +-1. d margin/d m is the difference of the densities at both limits, as a part of their sum.
 
     At m = 0.6 the lower limit has no rejects; at m = 0.02 it has 35 %.
     """
-    variables = {"m": Variable(-1.0, 1.0, 0.6)}
-    cost = dict.fromkeys("ab", ReciprocalPower(reference=1.0, finest=0.05, coarsest=5.0))
-    decisions = Decisions(Population.of(PARTS).replace(values={"m": 0.6}), cost, {}, variables)
-    made = Margins(Shifted(), decisions, {"y": Requirement(lower=-1.0, upper=1.0)}, {}, None, 2048, 0)
-    made.mirrored = True
-    made.begin(decisions.vector(np.array([0.3, 0.3]), {"m": 0.6}))
-    there = decisions.vector(np.array([0.72, 0.72]), {"m": 0.02})
+    made, _ = shifted(0.6)
+    there = made.decisions.vector(np.array([0.72, 0.72]), {"m": 0.02})
     made.replace_sample(there)
     found = made.look(there).jacobian[0, -1] * made.ways[0] / 2  # the range of m is 2
     sd = 0.72 * np.sqrt(2) / 3

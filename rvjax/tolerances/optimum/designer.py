@@ -14,7 +14,7 @@ from rvjax.tolerances.loss import expected_losses
 from rvjax.tolerances.optimum.certificate import DRAWS, Certifier
 from rvjax.tolerances.optimum.correction import MOST, NEAR, WORTH, Correction
 from rvjax.tolerances.optimum.decisions import Decisions
-from rvjax.tolerances.optimum.ends import STATIONARY, confirmed, intervals, margins_of, prices
+from rvjax.tolerances.optimum.ends import STATIONARY, confirmed, intervals, margins_of, pricing
 from rvjax.tolerances.optimum.feasibility import Shortage, least_shortage
 from rvjax.tolerances.optimum.found import Found, status_of
 from rvjax.tolerances.optimum.half_widths import HalfWidths
@@ -275,10 +275,11 @@ class Designer:
             learned=learned, settled=end.settled, stationary=stationary,
         )  # fmt: skip
         reached, slopes = margins_of(margins, decisions, end)
-        priced = prices(margins, end, x)
-        uncertain = intervals(margins, end, x, self.low, self.high, certifier.run.confidence) if self.follows else {}
+        priced = pricing(margins, end, x)
+        confidence = certifier.run.confidence
+        uncertain = intervals(margins, end, priced, self.low, self.high, confidence) if self.follows else {}
         return Found(
-            status, decisions, x, certificate, learned - loss, cost, priced, {}, end.residual,
+            status, decisions, x, certificate, learned - loss, cost, priced(end.prices), {}, end.residual,
             end.settled, stationary, exact, margins.evaluated, self.history, end, None, reached, slopes, uncertain,
         )  # fmt: skip
 

@@ -21,8 +21,8 @@ _ASTRAY = 0.4  # part of a probe by which a margin may deviate from its slopes
 _NOISE = 0.02  # of the way to a limit
 
 
-def prices(margins: Margins, end: End, x: np.ndarray) -> dict[str, float]:
-    """Reduction of the cost per outward move of all limits of a requirement, by name.
+def pricing(margins: Margins, end: End, x: np.ndarray) -> Callable[[np.ndarray], dict[str, float]]:
+    """Reduction of the cost per outward move of all limits of a requirement, by name: of prices (c,) of the margins.
 
     Corrections of a sampled margin are parts of the way to its limit: they grow with the limit.
 
@@ -31,11 +31,6 @@ def prices(margins: Margins, end: End, x: np.ndarray) -> dict[str, float]:
         end: of the search.
         x: the solution.
     """
-    return _pricing(margins, end, x)(end.prices)
-
-
-def _pricing(margins: Margins, end: End, x: np.ndarray) -> Callable[[np.ndarray], dict[str, float]]:
-    """Prices of the requirements as a function of the prices (c,) of the margins at an end."""
     kept = 1 - end.point.moved / margins.central_ways(x)
     kept[margins.exact] = 1.0
     leading = margins.leading(x) if JOINT in margins.names[len(margins.rows) :] else {}
@@ -53,21 +48,24 @@ def _pricing(margins: Margins, end: End, x: np.ndarray) -> Callable[[np.ndarray]
 
 
 def intervals(
-    margins: Margins, end: End, x: np.ndarray, low: np.ndarray, high: np.ndarray, confidence: float
+    margins: Margins,
+    end: End,
+    priced: Callable[[np.ndarray], dict[str, float]],
+    low: np.ndarray,
+    high: np.ndarray,
+    confidence: float,
 ) -> dict[str, tuple[float, float]]:
     """Intervals of the prices of followed units, by their sampling error: no unit is solved for them.
-
 
     Args:
         margins: of the search, whose units are followed.
         end: of the search.
-        x: the solution.
+        priced: prices of the requirements, see `pricing`.
         low: (n,) bounds of its vector.
         high: (n,) bounds of its vector.
         confidence: of the intervals.
     """
-    priced, elastic = _pricing(margins, end, x), np.maximum(4 * end.prices, 2 * abs(end.point.total))
-    found = []
+    elastic, found = np.maximum(4 * end.prices, 2 * abs(end.point.total)), []
     for tails in margins.tails.parts():
         look = functools.partial(margins.of_tails, tails)
         there = Programme(look, low, high, margins.decisions.reach, 1, elastic=elastic)

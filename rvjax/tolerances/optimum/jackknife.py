@@ -1,6 +1,7 @@
 """Sampling error of a result of many units: the spread of the results without one group of them (Tukey 1958)."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from scipy import special
@@ -14,12 +15,12 @@ def groups(count: int) -> np.ndarray:
     return np.random.default_rng(count).permutation(count) % GROUPS
 
 
-def half_interval(several: list[np.ndarray], confidence: float) -> np.ndarray:
+def half_interval(several: Sequence[np.ndarray | list[float]], confidence: float) -> np.ndarray:
     """Half of the intervals (k,) of values.
 
     Args:
         several: values (k,) without each group.
         confidence: of the intervals.
     """
-    error = np.std(several, axis=0) * math.sqrt(GROUPS - 1)
+    error = np.std(np.asarray(several), axis=0) * math.sqrt(GROUPS - 1)
     return np.asarray(special.stdtrit(GROUPS - 1, (1 + confidence) / 2) * error)

@@ -99,7 +99,7 @@ class Margins:
         self.tails = TailSample(numbers, samples, seed)
         self._centres: dict[int, Centres] = {}
         self.mirrored = False
-        """Whether both limits of a response have units, though one decides: numbers of the design may move it."""
+        """True: both limits of a response have units, though one decides, because numbers may move the response."""
         self.lines: dict[int, LimitLines] = {}
         self.losses = MeanLoss(response, decisions, losses or {}, lossy, seed, memo)
         self.plain = SobolPoints(numbers, seed).z(0, samples) if self._plain else np.zeros((numbers, 0))
