@@ -51,6 +51,16 @@ def all_solved():
         return allocate(Living(costly=False), PARTS, NEED, **OPTIONS)
 
 
+pytestmark = pytest.mark.usefixtures("from_one_start")
+
+
+@pytest.fixture
+def from_one_start():
+    """Other starts are in test_codesign_starts.py."""
+    with one_start():
+        yield
+
+
 def margins(samples=512):
     decisions = Decisions(Population.of(PARTS).replace(values={"arm": 2.0}), COSTS, {}, {"arm": ARM})
     made = Margins(response, decisions, NEED, {}, None, samples, 0)
@@ -156,6 +166,27 @@ def test_a_step_that_turns_out_dearer_is_not_taken(start):
     line = Tangent()
     end = steps.followed(line, line.look, np.zeros(1), np.ones(1), np.array([start]), 30)
     assert abs(end.point.x[0] - 0.5) < 0.16
+
+
+def test_a_step_that_failed_is_shortened():
+    """A minimum 0.13 away is promised, by a curvature of which the cost has 4 times: the next box is half of that."""
+    solved = []
+
+    class Bent:
+        decisions, anchor = SimpleNamespace(reach=np.ones(1)), None
+
+        def follow(self, x):
+            solved.append(float(x[0]))
+            self.anchor = SimpleNamespace(x=x)
+
+        def look(self, x):
+            off, step, nothing = self.anchor.x - 0.5, x - self.anchor.x, np.zeros(1)
+            cost = 0.01 + float(2 * off @ off + 4 * off @ step + step @ step / 2)
+            return Local(x, cost, 4 * off + step, nothing + 1, 0.0, nothing, np.zeros(0), np.zeros((0, 1)), np.zeros(0))
+
+    bent = Bent()
+    end = steps.followed(bent, bent.look, np.zeros(1), np.ones(1), np.array([0.4675]), 30, size=steps.CLOSE)
+    assert solved == pytest.approx([0.4675, 0.5975], abs=1e-3) and end.point.x[0] == pytest.approx(0.5325, abs=1e-3)
 
 
 @record

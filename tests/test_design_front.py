@@ -10,7 +10,7 @@ from rvjax.commands.design import compute
 from rvjax.commands.design.compute import Designed, Point
 from rvjax.commands.design.figures import figures
 from rvjax.commands.design.prices import limit_price, multiplier, nominal_limit
-from rvjax.commands.design.report import numbers, others, saved_part
+from rvjax.commands.design.report import numbers, others, saved_part, starts_text
 from rvjax.tolerances import Nominal
 from rvjax.units import mm, um
 
@@ -20,7 +20,7 @@ PRICED = SimpleNamespace(
 
 
 def optimum(cost, *, status="OPTIMAL", start=20.0, feasible=True, factor=1.0):
-    ended = SimpleNamespace(cost=cost, status=status, start_cost=start, feasible=feasible, values={})
+    ended = SimpleNamespace(cost=cost, status=status, start_cost=start, feasible=feasible, values={}, starts=[])
     return Point(ended, None, {"mass": 2.0}, factor)
 
 
@@ -95,11 +95,17 @@ def test_a_price_that_no_search_found_is_unknown():
         requirements={}, nominal={"gap": Nominal(lower=1e-3)},
         output=lambda _: SimpleNamespace(unit="m", read_in=None, shown=("mm", mm)),
     )  # fmt: skip
-    prices = {
-        price: limit_price(asked, SimpleNamespace(found=SimpleNamespace(multipliers={"gap": price}, cost=10.0)), "gap")
-        for price in (math.nan, 0.0, -2e3)
-    }
-    assert list(prices.values()) == ["unknown", "not binding", "2 /mm"]
+    ends = {"gap": (-2500.0, 100.0)}
+    cases = [(math.nan, {}), (0.0, {}), (-2e3, {}), (-2e3, ends)]
+    found = [SimpleNamespace(multipliers={"gap": price}, cost=10.0, multiplier_intervals=i) for price, i in cases]
+    prices = [limit_price(asked, SimpleNamespace(found=each), "gap") for each in found]
+    assert prices == ["unknown", "not binding", "2 /mm", "2 [0, 2.5] /mm"]
+
+
+def test_costs_of_other_starts_are_one_line():
+    ends = [dict(cost=cost, met=met, units=256) for cost, met in ((66.05, True), (69.98, True), (9.0, False))]
+    said = "Searches from 3 starts on 256 units ended at costs of 66.050 to 69.980; 1 missed a limit."
+    assert starts_text(ends) == said and starts_text(ends[:1]) == starts_text(ends[2:]) == ""
 
 
 def test_limits_without_a_unit_end_with_their_number():

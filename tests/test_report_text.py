@@ -72,8 +72,10 @@ def test_losses_are_stated_before_and_after_with_the_cost():
 
 def test_a_price_that_no_search_found_is_unknown():
     error = SimpleNamespace(shown=("arcmin", arcmin))
-    said = [_Price("shadow price").text((price, error)) for price in (math.nan, 0.0, -2 / arcmin)]
-    assert said == ["unknown", "not binding", "-2 /arcmin"]
+    cells = [(price, error, None) for price in (math.nan, 0.0, -2 / arcmin)]
+    cells.append((-2 / arcmin, error, (-2.5 / arcmin, -1 / arcmin)))
+    said = [_Price("shadow price").text(cell) for cell in cells]
+    assert said == ["unknown", "not binding", "-2 /arcmin", "-2 [-2.5, -1] /arcmin"]
 
 
 def test_a_price_says_what_it_means():

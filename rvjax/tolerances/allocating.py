@@ -175,10 +175,10 @@ def allocated(
                         stationary=found.stationary,
                     ),
                 )  # fmt: skip
-        given = names, solver.ranges(found), solver.certifier.solved
-        result = allocation_of(problem, found, *given)
+        solved = solver.certifier.solved
+        result = allocation_of(problem, found, names, solved)
         if rounded is not None:
-            graded = dataclasses.replace(allocation_of(problem, rounded, names, {}, given[2]), grades=chosen)
+            graded = dataclasses.replace(allocation_of(problem, rounded, names, solved), grades=chosen, ranges={})
             result = dataclasses.replace(result, graded=graded)
     return unwrapped(result), Solved(solver.training, solver.certifier) if isinstance(solver, HalfWidths) else None
 

@@ -260,13 +260,16 @@ class _Limit(Column):
 
 @dataclass(frozen=True)
 class _Price(Column):
-    """Shadow prices per unit of the response: cells are (price per SI unit, output)."""
+    """Shadow prices per unit of the response: cells are (price per SI unit, output, its interval or None)."""
 
     def _said(self, cell: Cell) -> str:
         price, (unit, size) = cell[0], cell[1].shown
         if not price:
             return "not binding"
-        return "unknown" if math.isnan(price) else f"{price * size:.4g} /{unit}"
+        if math.isnan(price):
+            return "unknown"
+        ends = "" if cell[2] is None else " [{:.4g}, {:.4g}]".format(*(end * size for end in cell[2]))
+        return f"{price * size:.4g}{ends} /{unit}"
 
     def _given(self, cell: Cell) -> list[Value]:
         return [number(cell[0] * cell[1].shown[1])]
@@ -310,6 +313,7 @@ def requirement_table(answer: Answer) -> Table:
         cells = [evaluated(verdict, output) for verdict in verdicts]
         figure_unit = output.shown[0] if verdicts[0].kind == "response" else "-"
         goal = getattr(requirement, requirement.goal) if requirement.goal else None
+        ends = allocation.multiplier_intervals.get(name)
         met = met_text(requirement, verdicts[1], allocation.certificate.samples)
         row: list[Cell] = [
             Titled(name, output.meaning),
@@ -318,7 +322,7 @@ def requirement_table(answer: Answer) -> Table:
             requirement.text(),
             goal,
         ]
-        row += [requirement.text(), figure_unit, *cells, met, (allocation.multipliers[name], output)]
+        row += [requirement.text(), figure_unit, *cells, met, (allocation.multipliers[name], output, ends)]
         row += [evaluated(graded.certificate.verdicts[name], output)] if graded else []
         rows.append([*row, met])
     return Table("requirements", columns, rows, note=price_text(study, allocation.multipliers))
@@ -351,6 +355,7 @@ def _data(answer: Answer) -> dict[str, object]:
         "influence": answer.after.influence,
         "limits": {name: limit_text(item, study.output(name)) for name, item in study.requirements.items()},
         "multipliers": allocation.multipliers,
+        "multiplier_intervals": allocation.multiplier_intervals,
         **({"losses": allocation.losses, "objective": allocation.objective} if study.losses else {}),
         "shortfall": allocation.shortfall,
         "certificate": allocation.certificate,

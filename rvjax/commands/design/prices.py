@@ -64,7 +64,7 @@ def multiplier(study: Study, point: Point, name: str) -> float:
 
 
 def limit_price(study: Study, point: Point, name: str) -> str:
-    """Price of a limit with its unit, as text.
+    """Price of a limit with its unit, as text, of costly units with its interval.
 
     Args:
         study: with variables.
@@ -76,7 +76,10 @@ def limit_price(study: Study, point: Point, name: str) -> str:
     unit, size = priced_per(output.unit, output.read_in)
     if not price > 0:
         return "unknown" if math.isnan(price) else "not binding"
-    return f"{price * size:.3g} /{unit}".removesuffix(" /-")
+    ends = point.found.multiplier_intervals.get(name)
+    # Outward moves reduce the cost: a multiplier is never positive, but an end of its interval may be.
+    within = "" if ends is None else f" [{max(-ends[1] * size, 0.0):.3g}, {-ends[0] * size:.3g}]"
+    return f"{price * size:.3g}{within} /{unit}".removesuffix(" /-")
 
 
 def nominal_limit(study: Study, name: str) -> str:

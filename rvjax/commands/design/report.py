@@ -2,7 +2,7 @@
 
 import math
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -170,7 +170,9 @@ def numbers(study: Study, found: Designed) -> Table:
                 f"{abs(price) * size:.3g} /{name}" if bound and price and math.isfinite(price) else "-",
             ]
         )
-    return Table("variables", columns, rows)
+    missing = [path for path, item in study.variables.items() if ranges and item.free and path not in joint.ranges]
+    note = f"cost within 0.5 %: no units were left for {', '.join(missing)}." if missing else ""
+    return Table("variables", columns, rows, note=note)
 
 
 def _tolerances(study: Study, found: Designed) -> Table:
@@ -256,6 +258,8 @@ def others(study: Study, found: Designed) -> Iterator[Table | Note]:
         costs = point.total(study), point.of_tolerances(study), point.priced(study)
         rows.append([name, point.found.status, *costs, *values])
     yield Table("optima", columns, rows)
+    if said := starts_text(found.joint.found.starts):
+        yield Note(said)
     if found.two_step is not None:
         yield Note(
             "Geometry first: least own cost and priced outputs within the limits without errors, nearest to the start; "
@@ -269,6 +273,20 @@ def others(study: Study, found: Designed) -> Iterator[Table | Note]:
             f"warning: not certified at prices times {', '.join(missed)}: independent units miss a requirement there. "
             "The cost of such a point is too low, and the plot shows the point hollow."
         )
+
+
+def starts_text(starts: Sequence[Mapping[str, Any]]) -> str:
+    """Costs at the ends of the searches; "" for one start.
+
+    Args:
+        starts: of the result.
+    """
+    costs = [start["cost"] for start in starts if start["met"]]
+    if len(starts) < 2 or not costs:
+        return ""
+    missed = f"; {len(starts) - len(costs)} missed a limit" if len(costs) < len(starts) else ""
+    ends = f"{min(costs):.3f} to {max(costs):.3f}{missed}"
+    return f"Searches from {len(starts)} starts on {starts[0]['units']} units ended at costs of {ends}."
 
 
 def _laws(study: Study, found: Designed) -> Iterator[Table | Note]:
@@ -345,6 +363,8 @@ def _data(study: Study, found: Designed) -> dict[str, Any]:
         "value_prices": joint.value_prices,
         "ranges": joint.ranges,
         "multipliers": joint.multipliers,
+        "multiplier_intervals": joint.multiplier_intervals,
+        "starts": joint.starts,
         "shortfall": joint.shortfall,
         "tolerances": {
             field: {"unit": study.unit(field), "after": limits_data(study, field, getattr(joint.tolerances, field))}

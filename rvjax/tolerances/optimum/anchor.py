@@ -73,6 +73,8 @@ class AnchoredUnits(Units):
     """Units in the tails that follow from an anchor where there is one."""
 
     anchor: Anchor | None = None
+    sloped = PULLED
+    """Units of each response with gradients."""
     _latest: tuple[bytes, np.ndarray, dict[str, np.ndarray]] | None = None
 
     def drop(self, x: np.ndarray, z: np.ndarray, away: dict[str, np.ndarray]) -> None:
@@ -97,7 +99,7 @@ class AnchoredUnits(Units):
         numbers = _numbers(population, z)
         count, sloped, slopes = len(population.values or {}), dict[str, np.ndarray](), dict[str, np.ndarray]()
         for name, row in away.items():
-            units = nearest(np.where(np.isfinite(values[name]), row, np.inf), PULLED)
+            units = nearest(np.where(np.isfinite(values[name]), row, np.inf), self.sloped)
             own = super()._gradients(population, numbers[: len(numbers) - count, units], {name: np.ones(len(units))})
             good = np.isfinite(own).all(axis=0)
             sloped[name], slopes[name] = units[good], own[:, good]

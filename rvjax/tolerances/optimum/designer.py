@@ -1,27 +1,31 @@
 """Half-widths, mid-points and numbers of the design together: search, certificate, or the reason for none."""
 
 import dataclasses
+import functools
 import math
 from typing import Any
 
 import numpy as np
 
+from rvjax._jax.blocks import PULLED
 from rvjax.response import begin_programs
 from rvjax.tolerances.batch.monte_carlo import Statistics
+from rvjax.tolerances.loss import expected_losses
 from rvjax.tolerances.optimum.certificate import DRAWS, Certifier
 from rvjax.tolerances.optimum.correction import MOST, NEAR, WORTH, Correction
 from rvjax.tolerances.optimum.decisions import Decisions
-from rvjax.tolerances.optimum.ends import STATIONARY, confirmed, margins_of, prices
+from rvjax.tolerances.optimum.ends import STATIONARY, confirmed, intervals, margins_of, pricing
 from rvjax.tolerances.optimum.feasibility import Shortage, least_shortage
-from rvjax.tolerances.optimum.found import Found, status_of, with_grades
+from rvjax.tolerances.optimum.found import Found, status_of
 from rvjax.tolerances.optimum.half_widths import HalfWidths
 from rvjax.tolerances.optimum.lists import Lists, Places
 from rvjax.tolerances.optimum.local import Local
 from rvjax.tolerances.optimum.margins import Margins
 from rvjax.tolerances.optimum.problem import Problem
 from rvjax.tolerances.optimum.programme import End, Programme
-from rvjax.tolerances.optimum.rounding import ladders_of
-from rvjax.tolerances.optimum.steps import COARSE, followed, ranges, starts, valleys
+from rvjax.tolerances.optimum.rounding import graded_by_objective
+from rvjax.tolerances.optimum.steps import CLOSE, FIRST, far, followed, ranges
+from rvjax.tolerances.optimum.valleys import COARSE, FEW, apart, rivals, searched, starts, told
 
 FINE = 4096
 """Units in the tails, at most."""
@@ -44,11 +48,17 @@ class Designer:
         self.history: list[dict[str, Any]] = []
         self.follows = problem.costly and all(i.of_shares or not i.of_sample for i in problem.requirements.values())
         self.certifier = Certifier(problem.run, problem.joint_target, follows=self.follows)
-        self.correction = Correction(self.certifier)
+        self.samples: list[Margins] = []
+        self.starts: list[dict[str, Any]] = []
+        self.allowed = 0
+        """Units that the search may solve, if they are costly and there are several starts."""
 
     def solution(self) -> Found:
         """The cheapest certified vector, or the least shortage; values of units only where these are few."""
         found = self._solution()
+        found = dataclasses.replace(found, ranges=self._ranges(found), starts=self.starts)
+        if self.follows:
+            found = dataclasses.replace(found, evaluated=self._evaluated())
         if self.problem.run.keep or found.certificate.values is None:
             return found
         return dataclasses.replace(found, certificate=dataclasses.replace(found.certificate, values=None))
@@ -58,12 +68,14 @@ class Designer:
         start = self.problem.start(decisions)
         if lists.entries:
             self.low, self.high = lists.relaxed(decisions.low, decisions.high)
-        margins = self.problem.margins(decisions, FINE)
+        margins = self._sample(FINE)
         if self.problem.costly:
             begin_programs(self.problem.response, decisions.population(start), slopes=True)
-        rivals = self._rivals(start)
-        margins.begin(rivals[0])
-        end = self._best(margins, [self._searched(margins, x) for x in rivals])
+        several = self._rivals(start)
+        margins.begin(several[0])
+        end = min([self._searched(margins, x) for x in several], key=functools.partial(self._worth, margins))
+        ends = self._others(margins, end, start)
+        margins, end = ends[0]
         if lists.entries:
             end = self._listed(margins, lists, end.point.x)
         if not self._met(margins, end):
@@ -76,7 +88,16 @@ class Designer:
         values = decisions.fields and any(item.of_sample for item in self.problem.requirements.values())
         if values and not self.problem.costly and not confirmed(margins, decisions, end):
             return self._by_values(end)
-        return self._certified(margins, end)
+        found = self._certified(margins, end)
+        if found.status in ("NOT_CERTIFIED", "SUBOPTIMAL") and not lists.entries:
+            others = [self._certified(*other) for other in ends[1:] if self._met(*other)]
+            found = min([found, *others], key=lambda item: (item.status == "NOT_CERTIFIED", self._whole(item)))
+        return found
+
+    def _whole(self, found: Found) -> float:
+        """Cost with the mean losses of its certificate."""
+        problem = self.problem
+        return problem.whole_of(found.cost, expected_losses(problem.losses, found.certificate)).value
 
     def _met(self, margins: Margins, end: End) -> bool:
         """True if an end keeps the limits of the sample within its error, and the others exactly."""
@@ -100,10 +121,7 @@ class Designer:
             self.low, self.high = lists.fixed(places, *free)
             return self._searched(margins, x) if again else self._run(margins, x, 1.0)
 
-        def worth(end: End) -> tuple[bool, float]:
-            met = self._met(margins, end)
-            return not met, end.point.total if met else end.excess
-
+        worth = functools.partial(self._worth, margins)
         if np.isfinite(margins.look(x).margins).all():
             margins.replace_sample(x)
         rivals = lists.cheapest(x, solved, worth)
@@ -121,7 +139,50 @@ class Designer:
             return several
         coarse = self.problem.margins(self.decisions, COARSE)
         coarse.begin(start)
-        return [end.point.x for end in valleys(coarse, several, self.low, self.high, self.decisions.reach)]
+        ends = searched(coarse, several, self.low, self.high)
+        self.starts = told(self.decisions, several, ends, coarse.samples)
+        return [end.point.x for end in rivals(ends)]
+
+    def _sample(self, most: int, sloped: int = PULLED) -> Margins:
+        """A sample, whose units count."""
+        self.samples.append(self.problem.margins(self.decisions, most, sloped=sloped))
+        self.samples[-1].mirrored = self.follows and self.decisions.size > len(self.decisions.fields)
+        return self.samples[-1]
+
+    def _evaluated(self) -> int:
+        return sum(margins.evaluated for margins in self.samples)
+
+    def _others(self, margins: Margins, end: End, start: np.ndarray) -> list[tuple[Margins, End]]:
+        """Ends on large samples, the cheapest first: a given one, and of costly units that of the best other start.
+
+        All starts are tried on a small sample, from that end too. They may solve half as many units as this end and
+        its certificate. The other half is for searches on a large sample, from ends with other numbers.
+        """
+        several = starts(self.decisions, start, self.low, self.high)[1:] if self.follows else []
+        if not several:
+            return [(margins, end)]
+        small, first = self._sample(COARSE, FEW), len(self.decisions.fields)
+        if far(margins, end.point.x):
+            end = self._run(margins, end.point.x)
+        given, pairs = margins.evaluated, [(margins, end)]
+        small.begin_like(margins)
+        most = given + self.problem.run.samples
+        self.allowed = given + most
+        found = searched(small, [end.point.x, *several], self.low, self.high, most / 2)
+        self.starts = told(self.decisions, [start, *several], found, small.samples)
+        for rival in rivals(found, first):
+            if self._evaluated() + given / 2 > self.allowed or not apart(rival, end, first):
+                continue
+            small.anchor = None
+            small.replace_sample(rival.point.x)
+            large = self._sample(FINE)
+            large.begin_like(small)
+            pairs.append((large, self._run(large, rival.point.x)))
+        return sorted(pairs, key=lambda pair: self._worth(*pair))
+
+    def _worth(self, margins: Margins, end: End) -> tuple[bool, float]:
+        met = self._met(margins, end)
+        return not met, end.point.total if met else end.excess
 
     def _shortage(self, margins: Margins, several: list[np.ndarray]) -> Shortage:
         """The least shortage of the requirements as they are."""
@@ -164,7 +225,8 @@ class Designer:
     def _run_once(self, margins: Margins, x: np.ndarray, radius: float, curvature: np.ndarray | None) -> End:
         if self.follows:
             look = lambda x: self._noted(margins, x)  # noqa: E731
-            return followed(margins, look, self.low, self.high, x, self.problem.max_steps, curvature)
+            size = CLOSE if len(self.samples) > 1 else FIRST
+            return followed(margins, look, self.low, self.high, x, self.problem.max_steps, curvature, size=size)
         search = Programme(
             lambda x: self._noted(margins, x), self.low, self.high, self.decisions.reach, self.problem.max_steps
         )
@@ -179,15 +241,11 @@ class Designer:
         self.history.append(dict(cost=point.total, margins=named, half_widths=widths, values=decisions.values(x)))
         return point
 
-    def _best(self, margins: Margins, ends: list[End]) -> End:
-        met = [end for end in ends if self._met(margins, end)]
-        return min(met, key=lambda end: end.point.total) if met else min(ends, key=lambda end: end.excess)
-
     # Certificates.
 
     def _certified(self, margins: Margins, end: End) -> Found:
         """The end of a search, corrected by certificates until one holds with a small margin."""
-        end = self._sharpened(margins, end)
+        end, correction = self._sharpened(margins, end), Correction(self.certifier)
         certifier, decisions, learned = self.certifier, self.decisions, self._learned(margins, end)
         kept: tuple[End, Statistics] | None = None
         certificate = self._drawn(end.point.x)
@@ -195,7 +253,7 @@ class Designer:
             held, before = certifier.holds(certificate), None if kept is None else kept[0].point.total
             if held and (before is None or end.point.total < before):
                 kept = end, certificate
-            corrected = self.correction.apply(margins, end, certificate, held)
+            corrected = correction.apply(margins, end, certificate, held)
             little = before is not None and end.point.total > before - WORTH * abs(before)
             enough = little or (not self.follows and certifier.drawn > 2)
             if not corrected or (enough if held else certifier.hopeless()):
@@ -217,9 +275,12 @@ class Designer:
             learned=learned, settled=end.settled, stationary=stationary,
         )  # fmt: skip
         reached, slopes = margins_of(margins, decisions, end)
+        priced = pricing(margins, end, x)
+        confidence = certifier.run.confidence
+        uncertain = intervals(margins, end, priced, self.low, self.high, confidence) if self.follows else {}
         return Found(
-            status, decisions, x, certificate, learned - loss, cost, prices(margins, end, x), {}, end.residual,
-            end.settled, stationary, exact, margins.evaluated, self.history, end, None, reached, slopes,
+            status, decisions, x, certificate, learned - loss, cost, priced(end.prices), {}, end.residual,
+            end.settled, stationary, exact, margins.evaluated, self.history, end, None, reached, slopes, uncertain,
         )  # fmt: skip
 
     @property
@@ -268,65 +329,22 @@ class Designer:
         half_widths, drawn = self.certifier.settle(search, point)
         return self.decisions.with_half_widths(x, half_widths), drawn
 
-    def ranges(self, found: Found) -> dict[str, tuple[float, float]]:
-        """Values of each number with which the cost stays within 0.5 %; none where units are costly."""
-        if found.end is None or self.problem.costly or not self.problem.variables:
+    def _ranges(self, found: Found) -> dict[str, tuple[float, float]]:
+        """Values of each number with which the cost stays within 0.5 %; of costly units as a certificate has units."""
+        if found.end is None or not self.problem.variables or self.problem.costly != self.follows:
             return {}
-        coarse = self.problem.margins(self.decisions, COARSE)
+        coarse = self._sample(COARSE // 2, FEW // 2) if self.follows else self._sample(COARSE)
         coarse.begin(found.end.point.x)
-        return ranges(coarse, self.decisions, found.end, self.low, self.high)
+        if self.follows:
+            coarse.follow(found.end.point.x)
+        most = max(self.allowed - self._evaluated(), self.problem.run.samples) if self.follows else math.inf
+        return ranges(coarse, self.decisions, found.end, self.low, self.high, most)
 
     def graded(self, found: Found) -> tuple[Found, dict[str, str]]:
         """The solution with half-widths rounded to grades at its mid-points and numbers."""
         if self.problem.losses:
-            return self._graded_by_objective(found)
+            return graded_by_objective(found, self.problem.margins(self.decisions, FINE), self.certifier, self._drawn)
         return HalfWidths(self.problem, self.decisions, found.x, self.certifier).graded(found)
-
-    def _graded_by_objective(self, found: Found) -> tuple[Found, dict[str, str]]:
-        """Grades of the least cost with losses: one grade at a time moves while that gains on the sample.
-
-        Where a certificate does not hold, the grade that costs least to tighten is the next.
-        """
-        decisions, count = self.decisions, len(self.decisions.fields)
-        margins = self.problem.margins(decisions, FINE)
-        margins.begin(found.x)
-        if self.problem.costly:
-            margins.follow(found.x)
-        ladders = {j: ladder for j, ladder in enumerate(ladders_of(decisions)) if ladder}
-
-        def at(places: dict[int, int]) -> np.ndarray:
-            t = decisions.half_widths(found.x)
-            t[list(places)] = [ladders[j][place][1] for j, place in places.items()]
-            return decisions.with_half_widths(found.x, t)
-
-        def worth(places: dict[int, int]) -> tuple[bool, float]:
-            point = margins.look(at(places), sloped=False)
-            excess = float(point.margins.max(initial=-math.inf))
-            return excess > _MET, point.total if excess <= _MET else excess
-
-        def moved(places: dict[int, int], steps: tuple[int, ...]) -> list[dict[int, int]]:
-            return [
-                places | {j: place + step}
-                for j, place in places.items()
-                for step in steps
-                if 0 <= place + step < len(ladders[j])
-            ]
-
-        wide = np.exp(found.x[:count])
-        places = {j: int(np.argmin([abs(math.log(t / wide[j])) for _, t in steps])) for j, steps in ladders.items()}
-        best = worth(places)
-        while rivals := [(w, p) for p in moved(places, (1, -1)) if (w := worth(p)) < best]:
-            best, places = min(rivals, key=lambda item: item[0])
-        certificate = self._drawn(at(places))
-        for _ in range(DRAWS):
-            finer = moved(places, (-1,))
-            if self.certifier.holds(certificate) or self.certifier.hopeless() or not finer:
-                break
-            places = min(finer, key=worth)
-            certificate = self._drawn(at(places))
-        x, held = at(places), self.certifier.holds(certificate)
-        there = with_grades(found, x, certificate, margins.total(x), certified=held)
-        return there, {decisions.fields[j]: ladders[j][place][0] for j, place in places.items()}
 
     def _refused(self, margins: Margins, shortage: Shortage) -> Found:
         """The solution where no vector meets all requirements.

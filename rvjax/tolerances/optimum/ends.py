@@ -1,24 +1,28 @@
 """End of a programme: prices of the requirements, margins with their derivatives, and an audit."""
 
+import functools
 import math
+from collections.abc import Callable
 
 import numpy as np
 
 from rvjax.tolerances.optimum.decisions import Decisions
+from rvjax.tolerances.optimum.jackknife import half_interval
 from rvjax.tolerances.optimum.margins import JOINT, Margins
-from rvjax.tolerances.optimum.programme import End
+from rvjax.tolerances.optimum.programme import End, Programme
 
 STATIONARY = 0.1
 """Residual of an optimum by derivatives: it costs less than half of its square."""
 
+_RADIUS = 0.2  # of the step behind a price
 _PROBE = 0.1  # of the audit, logarithm of a half-width
 _PROBES = 32  # at most
 _ASTRAY = 0.4  # part of a probe by which a margin may deviate from its slopes
 _NOISE = 0.02  # of the way to a limit
 
 
-def prices(margins: Margins, end: End, x: np.ndarray) -> dict[str, float]:
-    """Reduction of the cost per outward move of all limits of a requirement, by name.
+def pricing(margins: Margins, end: End, x: np.ndarray) -> Callable[[np.ndarray], dict[str, float]]:
+    """Reduction of the cost per outward move of all limits of a requirement, by name: of prices (c,) of the margins.
 
     Corrections of a sampled margin are parts of the way to its limit: they grow with the limit.
 
@@ -27,16 +31,47 @@ def prices(margins: Margins, end: End, x: np.ndarray) -> dict[str, float]:
         end: of the search.
         x: the solution.
     """
-    found = dict.fromkeys(margins.requirements, 0.0)
     kept = 1 - end.point.moved / margins.central_ways(x)
     kept[margins.exact] = 1.0
-    for name, price, way, part in zip(margins.names, end.prices, margins.ways, kept):
-        if name in found:
-            found[name] += float(price / way * part)
-    if JOINT in margins.names[len(margins.rows) :]:
-        for name, part in margins.leading(x).items():
-            found[name] += float(end.prices[-1]) * part
-    return found
+    leading = margins.leading(x) if JOINT in margins.names[len(margins.rows) :] else {}
+
+    def priced(prices: np.ndarray) -> dict[str, float]:
+        found = dict.fromkeys(margins.requirements, 0.0)
+        for name, price, way, part in zip(margins.names, prices, margins.ways, kept):
+            if name in found:
+                found[name] += float(price / way * part)
+        for name, part in leading.items():
+            found[name] += float(prices[-1]) * part
+        return found
+
+    return priced
+
+
+def intervals(
+    margins: Margins,
+    end: End,
+    priced: Callable[[np.ndarray], dict[str, float]],
+    low: np.ndarray,
+    high: np.ndarray,
+    confidence: float,
+) -> dict[str, tuple[float, float]]:
+    """Intervals of the prices of followed units, by their sampling error: no unit is solved for them.
+
+    Args:
+        margins: of the search, whose units are followed.
+        end: of the search.
+        priced: prices of the requirements, see `pricing`.
+        low: (n,) bounds of its vector.
+        high: (n,) bounds of its vector.
+        confidence: of the intervals.
+    """
+    elastic, found = np.maximum(4 * end.prices, 2 * abs(end.point.total)), []
+    for tails in margins.tails.parts():
+        look = functools.partial(margins.of_tails, tails)
+        there = Programme(look, low, high, margins.decisions.reach, 1, elastic=elastic)
+        found.append([*priced(there.run(end.point.x, _RADIUS, end.curvature).prices).values()])
+    values, by = priced(end.prices), dict(zip(margins.requirements, map(float, half_interval(found, confidence))))
+    return {name: (value - by[name], value + by[name]) for name, value in values.items()}
 
 
 def margins_of(

@@ -78,16 +78,13 @@ def check_objective(objective: Mapping[str, float], names: tuple[str, ...]) -> N
             raise ValueError(f"objective: the price of {name} = {price!r}: must be finite")
 
 
-def allocation_of(
-    problem: Problem, found: Found, names: tuple[str, ...], ranges: dict[str, tuple[float, float]], solved: int
-) -> Allocation:
+def allocation_of(problem: Problem, found: Found, names: tuple[str, ...], solved: int) -> Allocation:
     """Result of a solution.
 
     Args:
         problem: that was solved.
         found: its solution.
         names: of the response.
-        ranges: of the numbers of the design.
         solved: units of the certificates.
     """
     decisions = found.decisions
@@ -115,11 +112,13 @@ def allocation_of(
         values=decisions.values(found.x),
         bounds_active=bounds_active(found),
         value_prices=value_prices(found),
-        ranges=ranges,
+        ranges=found.ranges,
         margins=found.margins,
         margin_slopes=found.slopes,
         losses=losses,
         objective=problem.whole_of(found.cost, losses),
         reason=reason(found),
         helps=None if found.shortage is None else found.shortage.helps,
+        starts=found.starts,
+        multiplier_intervals={name: (-high, -low) for name, (low, high) in found.intervals.items()},
     )

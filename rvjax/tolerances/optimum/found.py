@@ -36,6 +36,9 @@ class Found:
         shortage: of an infeasible problem that a programme searched.
         margins: {requirement: margin at the end of the programme}, with its derivatives in `slopes`.
         slopes: {requirement: {field or number: derivative}}.
+        intervals: {requirement: interval of its price} of costly units.
+        ranges: {number: values with which the cost stays within 0.5 %}.
+        starts: one dict per start that was tried on a small sample.
     """
 
     status: str
@@ -56,6 +59,9 @@ class Found:
     shortage: Shortage | None = None
     margins: dict[str, float] = dataclasses.field(default_factory=dict)
     slopes: dict[str, dict[str, float]] = dataclasses.field(default_factory=dict)
+    intervals: dict[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
+    ranges: dict[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
+    starts: list[dict[str, Any]] = dataclasses.field(default_factory=list)
 
 
 def status_of(*, certified: bool, exact: bool, cost: float, learned: float, settled: bool, stationary: bool) -> str:

@@ -66,17 +66,19 @@ class Margins:
         memo: Memo | None = None,
         losses: Mapping[str, QuadraticLoss] | None = None,
         lossy: int = 0,
+        sloped: int = PULLED,
     ) -> None:
         """Constraints on `samples` units, and `losses` of `lossy` others.
 
         The mean of `losses` is part of the objective. Costly units behind it are few, and followed as those in the
-        tails are.
+        tails are, `sloped` of each response with gradients.
         """
         self.decisions, self.requirements, self.objective = decisions, requirements, objective
         self.joint_target, self.samples, self.seed = joint_target, samples, seed
         self.response = response
         wanted = {name for name, item in requirements.items() if item.of_sample}
         self._units = AnchoredUnits(response, decisions, wanted, memo)
+        self._units.sloped = sloped
         self._outputs = response_names(response, decisions.base)
         self.rows = [Constraint(n, i) for n, i in requirements.items() if i.of_shares]
         self._shares = len(self.rows)
@@ -96,6 +98,8 @@ class Margins:
         numbers = decisions.base.numbers
         self.tails = TailSample(numbers, samples, seed)
         self._centres: dict[int, Centres] = {}
+        self.mirrored = False
+        """True: both limits of a response have units, though one decides, because numbers may move the response."""
         self.lines: dict[int, LimitLines] = {}
         self.losses = MeanLoss(response, decisions, losses or {}, lossy, seed, memo)
         self.plain = SobolPoints(numbers, seed).z(0, samples) if self._plain else np.zeros((numbers, 0))
@@ -125,6 +129,12 @@ class Margins:
         self.offsets[self.exact] = _INSET * self.ways[self.exact]
         self.replace_sample(x)
 
+    def begin_like(self, other: "Margins") -> None:
+        """Take the ways of the margins and the places in the tails of another sample."""
+        self.ways, self.widths, self._centres = other.ways.copy(), other.widths.copy(), other._centres
+        self.offsets[self.exact] = _INSET * self.ways[self.exact]
+        self.tails = TailSample(self.decisions.base.numbers, self.samples, self.seed, other.tails.centres)
+
     def replace_sample(self, x: np.ndarray) -> None:
         """Units in the tails as they lie at x."""
         if not self._shares:
@@ -139,7 +149,8 @@ class Margins:
             order = order[np.isfinite(margins[order])]
             beyond = np.cumsum(self.tails.weights[order[::-1]])[::-1] / self.samples
             at = min(int(np.searchsorted(-beyond, -(1 - target))), max(len(order) - PULLED // 2, 0))
-            units = order[max(0, at - PULLED // 2) : max(0, at - PULLED // 2) + PULLED]
+            first = max(0, at - self._units.sloped // 2)
+            units = order[first : first + self._units.sloped]
             if not len(units):
                 continue
             cotangents = {name: pull[units] for name, pull in shared.outward.items()}
@@ -150,6 +161,13 @@ class Margins:
             sizes = np.linalg.norm(slopes, axis=0)
             self.widths[self._row(k)] = WIDTH * float(np.median(sizes)) or WIDTH * self.ways[self._row(k)]
             placed = centres_of(self.tails.z[:, units], slopes, weights, float(special.ndtri(max(target, 0.6))))
+            if len(placed.places) and self.mirrored and k < self._shares:
+                row, z = self.rows[k], self.tails.z[:, units]
+                outward = cotangents[row.name]
+                centre = float(np.median(values[row.name][units] - outward * (slopes * z).sum(axis=0)))
+                ways = row.item.upper - centre, centre - row.item.lower
+                this, other = ways if weights @ outward > 0 else ways[::-1]
+                placed = placed.mirrored(other / this if this > 0 else 0.0)
             if len(placed.places):
                 self._centres[self._row(k)] = placed
                 found.append(placed)
@@ -224,6 +242,13 @@ class Margins:
             x, decisions.cost(x), slopes, bends, float(priced) + loss, towards + pulled, margins,
             jacobian / self.ways[:, None], self.offsets / self.ways,
         )  # fmt: skip
+
+    def of_tails(self, tails: TailSample, x: np.ndarray) -> Local:
+        """The same with the units in the tails of another sample, or with other weights of these."""
+        kept, self.tails = self.tails, tails
+        found = self.look(x)
+        self.tails = kept
+        return found
 
     def missed(self, point: Local) -> np.ndarray:
         """Excess (e,) of the limits without sampling error, in parts of their ways."""

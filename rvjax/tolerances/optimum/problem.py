@@ -102,13 +102,16 @@ class Problem:
         """Start of the vector of decisions."""
         return decisions.vector(self.given, {name: item.first for name, item in self.variables.items()})
 
-    def margins(self, decisions: Decisions, most: int, *, aimed: bool = True) -> Margins:
-        """Constraints on a sample of at most so many units, with targets that a certificate should confirm."""
+    def margins(self, decisions: Decisions, most: int, *, aimed: bool = True, sloped: int = PULLED) -> Margins:
+        """Constraints on a sample of at most so many units, with targets that a certificate should confirm.
+
+        Of followed units `sloped` of each response have gradients.
+        """
         count = min(self.samples, most // _COSTLY if self.costly else most)
         limited = self._aimed() if aimed else self.requirements
         return Margins(
             self.response, decisions, limited, dict(self.objective), self.joint_target, count, self.seed, self.memo,
-            self.losses, PULLED if self.costly else self.samples,
+            self.losses, PULLED if self.costly else self.samples, sloped,
         )  # fmt: skip
 
     def _aimed(self) -> dict[str, Limits]:

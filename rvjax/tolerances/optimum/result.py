@@ -40,7 +40,7 @@ class Allocation:
         bounds_active: {variable: "lower" or "upper" where it is at a bound, else None}.
         value_prices: {variable: d cost / d bound of the bound at which it is, else 0}.
         ranges: {variable: (least, largest) value with which, all else chosen anew, the cost stays within 0.5 %};
-            empty where units are costly.
+            of costly units a number for which no units were left is not in it.
         margins: {requirement: distance beyond the limit of what it judges at the end of the search, <= 0 within it}
             of a programme on all decisions, with the corrections of its certificate.
         margin_slopes: {requirement: {field or variable: derivative of this margin to a half-width or number}}.
@@ -48,6 +48,11 @@ class Allocation:
         objective: `Estimate` of the cost with these losses; what the search minimises.
         reason: of an infeasible problem with variables: what fails by how much, and the bound that would help most.
         helps: that bound, as (variable, "lower" or "upper").
+        starts: one dict per start that was tried on a small sample, the given one first: `begun`, the numbers and
+            mid-points from which the search began; `values` and `cost` at its end; whether requirements were `met`
+            there, and the `units` of the sample. Empty where there was one start only.
+        multiplier_intervals: {requirement: interval of its multiplier at the confidence of the certificate} where
+            units are costly: the sampling error of the units that the search solved.
     """
 
     feasible: bool
@@ -76,6 +81,8 @@ class Allocation:
     objective: Estimate | None = None
     reason: str | None = None
     helps: tuple[str, str] | None = None
+    starts: list[dict[str, Any]] = dataclasses.field(default_factory=list)
+    multiplier_intervals: dict[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
 
     def to_pandas(self) -> Any:
         """A `pandas.DataFrame`, SI: limits, half-width, cost and grade of each field that has a cost."""

@@ -2,18 +2,21 @@
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from rvjax.population import GRADES, it_width
+from rvjax.response import is_costly
 from rvjax.tolerances.batch.monte_carlo import Statistics
-from rvjax.tolerances.optimum.certificate import Certifier
+from rvjax.tolerances.optimum.certificate import DRAWS, Certifier
 from rvjax.tolerances.optimum.conlin import cheapest, predicted
 from rvjax.tolerances.optimum.cost import Cost
 from rvjax.tolerances.optimum.decisions import Decisions
+from rvjax.tolerances.optimum.found import Found, with_grades
+from rvjax.tolerances.optimum.margins import Margins
 from rvjax.tolerances.optimum.sample_average import Point
 from rvjax.tolerances.optimum.search import BEYOND, RADIUS, Search
 from rvjax.tolerances.requirements.factors import CUSHION
@@ -24,6 +27,7 @@ _EXCHANGES = 6  # certificates of exchanged grades, at most
 _TRIED = 12  # sets of exchanged grades evaluated on the learning sample, at most, after each accepted set
 _MOVES = 5000  # sets of three or four exchanged grades evaluated on the model, at most
 _LEAST_SURPLUS = 0.5  # of what the first certificate added to the cost: other sets of grades may need less
+_MET = 0.01  # excess within the error of the sample
 _NEAR = 0.01  # beyond a limit, in parts of the way there, within which the model or the sample may err
 
 Places = dict[int, int]  # of graded fields on their ladders
@@ -218,3 +222,57 @@ def _ladder(size: Any, cost: Cost) -> list[tuple[str, float]]:
         return []
     steps = [(grade, it_width(grade, size) / 2) for grade in GRADES]
     return [(grade, t) for grade, t in steps if cost.finest <= t * (1 + 1e-9) and t <= cost.coarsest * (1 + 1e-9)]
+
+
+def graded_by_objective(
+    found: Found, margins: Margins, certifier: Certifier, drawn: Callable[[np.ndarray], Statistics]
+) -> tuple[Found, dict[str, str]]:
+    """Grades of the least cost with losses: one grade at a time moves while that gains on the sample.
+
+    Where a certificate does not hold, the grade that costs least to tighten is the next.
+
+    Args:
+        found: the solution.
+        margins: on a sample.
+        certifier: of the certificates.
+        drawn: the certificate of a vector.
+    """
+    decisions, count = found.decisions, len(found.decisions.fields)
+    margins.begin(found.x)
+    if is_costly(margins.response):
+        margins.follow(found.x)
+    ladders = {j: ladder for j, ladder in enumerate(ladders_of(decisions)) if ladder}
+
+    def at(places: dict[int, int]) -> np.ndarray:
+        t = decisions.half_widths(found.x)
+        t[list(places)] = [ladders[j][place][1] for j, place in places.items()]
+        return decisions.with_half_widths(found.x, t)
+
+    def worth(places: dict[int, int]) -> tuple[bool, float]:
+        point = margins.look(at(places), sloped=False)
+        excess = float(point.margins.max(initial=-math.inf))
+        return excess > _MET, point.total if excess <= _MET else excess
+
+    def moved(places: dict[int, int], steps: tuple[int, ...]) -> list[dict[int, int]]:
+        return [
+            places | {j: place + step}
+            for j, place in places.items()
+            for step in steps
+            if 0 <= place + step < len(ladders[j])
+        ]
+
+    wide = np.exp(found.x[:count])
+    places = {j: int(np.argmin([abs(math.log(t / wide[j])) for _, t in steps])) for j, steps in ladders.items()}
+    best = worth(places)
+    while rivals := [(w, p) for p in moved(places, (1, -1)) if (w := worth(p)) < best]:
+        best, places = min(rivals, key=lambda item: item[0])
+    certificate = drawn(at(places))
+    for _ in range(DRAWS):
+        finer = moved(places, (-1,))
+        if certifier.holds(certificate) or certifier.hopeless() or not finer:
+            break
+        places = min(finer, key=worth)
+        certificate = drawn(at(places))
+    x, held = at(places), certifier.holds(certificate)
+    there = with_grades(found, x, certificate, margins.total(x), certified=held)
+    return there, {decisions.fields[j]: ladders[j][place][0] for j, place in places.items()}

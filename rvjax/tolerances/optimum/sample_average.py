@@ -7,6 +7,7 @@ import copy
 import dataclasses
 import hashlib
 import math
+from collections.abc import Iterator
 from typing import Any, Self
 
 import jax
@@ -21,6 +22,7 @@ from rvjax.status import succeeded
 from rvjax.tolerances.batch.checkpoint import describe
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.optimum.followed import Followed, followable
+from rvjax.tolerances.optimum.jackknife import GROUPS, groups
 from rvjax.tolerances.optimum.shrinkage import MANY, total_of_many
 from rvjax.tolerances.requirements.limits import Limits, Pull, along_reach, nearest, tail_quantile
 from rvjax.tolerances.worst_case import Extremes, extremes
@@ -80,6 +82,7 @@ class Training:
         self._made: dict[str, tuple[float, Tolerance]] = {}  # the latest tolerance of each field, by its half-width
         self.lanes = min(samples, max(_FEWEST_LANES, samples // _LANES_PART, _LANES_OF_A_FIELD * len(fields)))
         self._slopes: dict[int, tuple[np.ndarray, np.ndarray]] = {}  # where they were computed, and of s^power
+        self._pulls: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}  # units, parts and norms of each slope
         self.followed: Followed | None = None
         """Its units where they are costly; the others are all solved at every set of half-widths."""
         if followable(response, requirements):
@@ -117,7 +120,7 @@ class Training:
     def aimed(self, requirements: dict[str, Limits]) -> Self:
         """The same units for other targets of the same limits."""
         other = copy.copy(self)
-        other.requirements, other._seen, other._slopes = requirements, {}, {}
+        other.requirements, other._seen, other._slopes, other._pulls = requirements, {}, {}, {}
         return other
 
     def with_half_widths(self, half_widths: np.ndarray) -> Population:
@@ -178,9 +181,21 @@ class Training:
             outward = np.stack([item.outward(row) for row, item in zip(values, self.requirements.values())])
             signs = (outward / self.scales[:, None])[leading[units], units]
             pull = along_reach(units, joint[units] + 1, signs, margins[-1] + 1)
-            slopes.append(self._slope(half_widths, pull, leading))
+            slopes.append(self._slope(half_widths, pull, leading, len(margins) - 1))
             weights[-1] = (np.eye(len(values))[leading[units]] / self.scales).mean(axis=0)
         return Point(half_widths, self._corrected(margins), self.correction[:, None] * np.stack(slopes), weights)
+
+    def parts(self, point: Point) -> Iterator[Point]:
+        """A point of followed units without one group of these, for each group."""
+        values, group = self.values(point.half_widths), groups(self.samples)
+        for k in range(GROUPS):
+            slopes = point.slopes.copy()
+            for row, (units, of_units, norms) in self._pulls.items():
+                used = group[units] != k
+                whole, rest = (self._by_field(of_units @ own) / (norms @ own) for own in (np.ones(len(units)), used))
+                slopes[row] *= np.divide(rest, whole, out=np.ones(len(whole)), where=whole != 0)
+            margins = self._corrected(self._margins(values[:, group != k], {}))
+            yield dataclasses.replace(point, margins=margins, slopes=slopes)
 
     def correct(self, point: Point, factors: np.ndarray) -> Point:
         """Learn from a larger sample that half-widths times `factors` would just meet each target.
@@ -285,13 +300,16 @@ class Training:
         if k not in self._slopes or np.abs(self._slopes[k][0] - place).max() > _NEARBY:
             name = list(self.requirements)[k]
             pull = self.requirements[name].pull(row, margin, self.distance[k], self.lanes)
-            slope = self._slope(half_widths, pull, np.full(self.samples, k))
+            slope = self._slope(half_widths, pull, np.full(self.samples, k), k)
             self._slopes[k] = place, slope * reach ** (power - 1)
         there, known = self._slopes[k]
         return known * np.exp(power * (place - there)) / reach ** (power - 1)
 
-    def _slope(self, half_widths: np.ndarray, pull: Pull, of: np.ndarray) -> np.ndarray:
-        """Derivative of a margin to the logarithms of the half-widths (j,); `of`: each unit's requirement."""
+    def _slope(self, half_widths: np.ndarray, pull: Pull, of: np.ndarray, kept: int | None = None) -> np.ndarray:
+        """Derivative of a margin to the logarithms of the half-widths (j,); `of`: each unit's requirement.
+
+        The parts of its units are remembered for the constraint `kept`.
+        """
         if not len(pull.units):
             return np.zeros(len(self.fields))
         if self.followed is not None:
@@ -323,6 +341,8 @@ class Training:
                 self.followed.learn(name, pull.units[mine], slopes[:, mine] / pull.cotangents[mine])
         used = np.isfinite(slopes).all(axis=0)
         norm, of_units = pull.norms[used].sum(), (slopes * rates)[:, used]
+        if kept is not None:
+            self._pulls[kept] = pull.units[used], of_units, pull.norms[used]
         if len(self.fields) < MANY:
             total = self._by_field(of_units.sum(axis=1))
         else:

@@ -14,6 +14,7 @@ from scipy import optimize
 
 from rvjax.tolerances.optimum.conlin import cheapest, total_cost
 from rvjax.tolerances.optimum.cost import Cost
+from rvjax.tolerances.optimum.jackknife import half_interval
 from rvjax.tolerances.optimum.rays import Rays
 from rvjax.tolerances.optimum.sample_average import Point, Training
 
@@ -251,6 +252,15 @@ class Search:
         if self.rays is None:
             return self.model_optimum(point, RADIUS)[1] @ point.weights
         return np.array([self.price(self.rays, point, k) for k in range(len(self.training.requirements))])
+
+    def intervals(self, point: Point, confidence: float) -> dict[str, tuple[float, float]]:
+        """Intervals of the prices of followed units, by their sampling error."""
+        if self.rays is not None or self.training.followed is None:
+            return {}
+        several = [self.prices(there) for there in self.training.parts(point)]
+        by = half_interval(several, confidence)
+        both = zip(self.training.requirements, self.prices(point), by)
+        return {name: (float(price - wide), float(price + wide)) for name, price, wide in both}
 
     def tightened(self, point: Point, half_widths: np.ndarray, factors: np.ndarray) -> np.ndarray:
         """The cheapest half-widths, none looser, where each constraint keeps what `factors` (c,) on all of them do.

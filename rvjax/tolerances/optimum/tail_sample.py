@@ -9,17 +9,22 @@ A quantile is that of margins with a normal error of small width h: sum w Phi((m
 differentiable, and its derivative is the mean of the derivatives of units, weighted by w phi((margin - q)/h).
 """
 
+import copy
 import dataclasses
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from scipy import optimize, special
+
+from rvjax.tolerances.optimum.jackknife import GROUPS, groups
 
 PLAIN_SHARE = 0.25
 """Share of the units without importance: no weight exceeds its reciprocal."""
 
 _ALIKE = 0.9  # cosine of two directions that one centre serves
 _CENTRES = 8  # of one requirement, at most
+_MIRRORED, _OPPOSITE = 1.6, 0.25  # times as far, an opposite limit may matter; its share of the units
 _WIDTHS = 3.5  # beyond which a unit has no effect on a smooth quantile
 
 
@@ -34,6 +39,15 @@ class Centres:
 
     places: np.ndarray
     shares: np.ndarray
+
+    def mirrored(self, reach: float) -> "Centres":
+        """With the opposite of the largest place, `reach` times as far away, if that is near and none lies there."""
+        place = self.places[int(np.argmax(self.shares))]
+        sizes = np.linalg.norm(self.places, axis=1) * np.linalg.norm(place)
+        if not 0 < reach < _MIRRORED or (self.places @ place < -_ALIKE * sizes).any():
+            return self
+        shares = np.append((1 - _OPPOSITE) * self.shares, _OPPOSITE * self.shares.sum())
+        return Centres(np.concatenate([self.places, -reach * place[None]]), shares)
 
     @classmethod
     def joined(cls, several: list["Centres"]) -> "Centres":
@@ -94,6 +108,14 @@ class TailSample:
         for place, count in zip(centres.places, counts):
             density += count / samples * np.exp(np.clip(place @ self.z - place @ place / 2, -700, 700))
         self.weights = 1 / density
+
+    def parts(self) -> Iterator["TailSample"]:
+        """The sample without one group of units, which have no weight, for each group."""
+        group = groups(len(self.weights))
+        for k in range(GROUPS):
+            found = copy.copy(self)
+            found.weights = np.where(group == k, 0.0, self.weights * len(group) / (group != k).sum())
+            yield found
 
     def _place(self, along: np.ndarray, distance: float, units: slice, rng: np.random.Generator) -> None:
         """Units about a centre, stratified along its direction."""
