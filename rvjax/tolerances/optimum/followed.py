@@ -34,6 +34,7 @@ _LARGEST = 3.0  # standard deviations of the largest of 32 deviations, more than
 _CAUTION = 1.2  # on the spread, which comes from few units
 _FEWEST = 8  # solved units behind a line of units with gradients
 _KEPT = 24  # sets of tolerances that are remembered
+_ALIKE = 1e-9  # change of a limit, in half-widths, that is rounding
 
 Aims = Callable[[dict[str, np.ndarray], float], dict[str, list[float]]]
 """Values (n,) of all units by name, nan where one failed, and how far limits have moved since, in parts of the larger
@@ -94,7 +95,7 @@ class Followed:
         known = min(self._known, key=lambda item: _distance(item.place, place), default=None)
         if known is None or _distance(known.place, place) > _FAR:
             return self.all_at(population)
-        if not _distance(known.place, place) and self._settled(known, aims, wrong):
+        if _distance(known.place, place) <= _ALIKE and self._settled(known, aims, wrong):
             return _whole(known.values, known.status)
         found = _Step(self, known, population)
         found.begin(aims)
@@ -122,7 +123,7 @@ class Followed:
         """The same, as it is known already where every unit was solved there."""
         place = _place(population)
         for known in self._known:
-            if not _distance(known.place, place) and not any(row.any() for row in known.doubt.values()):
+            if _distance(known.place, place) <= _ALIKE and not any(row.any() for row in known.doubt.values()):
                 return _whole(known.values, known.status)
         return self.all_at(population)
 
@@ -227,7 +228,7 @@ class Followed:
         return max(wrong) <= most
 
     def _remember(self, known: _Known) -> None:
-        others = [item for item in self._known if _distance(item.place, known.place)]
+        others = [item for item in self._known if _distance(item.place, known.place) > _ALIKE]
         self._known = [*others[:1], *others[1:][-_KEPT:], known]  # the first one is evaluated again at the end
 
 
