@@ -26,10 +26,12 @@ from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.requirements.limits import Limits
 
 WRONG = 0.1  # units expected on the wrong side of a limit, at most
+REACHED = 0.9  # of the way to a limit, within which no costly unit is solved on its account
 _STEP = 128  # units solved next, at least
 _RANDOM = 32  # of the first units solved at a new set
 _IDLE = 0.5  # change of a limit, in half-widths, up to which outputs that decide nothing are not solved again
 _FAR = 1.0  # change of a limit, in half-widths, beyond which nothing is predicted
+_FIRST = 512  # units that show there whether the outputs of a part decide anything
 _LARGEST = 3.0  # standard deviations of the largest of 32 deviations, more than it has by chance (2.1)
 _CAUTION = 1.2  # on the spread, which comes from few units
 _FEWEST = 8  # solved units behind a line of units with gradients
@@ -94,7 +96,7 @@ class Followed:
         place = _place(population)
         known = min(self._known, key=lambda item: _distance(item.place, place), default=None)
         if known is None or _distance(known.place, place) > _FAR:
-            return self.all_at(population)
+            return self.all_at(population, None if known is None else aims)
         if _distance(known.place, place) <= _ALIKE and self._settled(known, aims, wrong):
             return _whole(known.values, known.status)
         found = _Step(self, known, population)
@@ -105,16 +107,33 @@ class Followed:
         self._remember(new)
         return _whole(new.values, new.status)
 
-    def all_at(self, population: Population) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """The same, every unit solved."""
+    def all_at(
+        self, population: Population, aims: Aims | None = None
+    ) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """The same, every unit solved; with `aims` only where the first units show that an output decides something.
+
+        For the other units of a part that decides nothing those first ones stand in, in turn.
+        """
+        first = self.samples if aims is None else min(_FIRST, self.samples)
         values: dict[str, np.ndarray] = {}
-        doubt: dict[str, np.ndarray] = {}
         status: list[np.ndarray] = []
         for number in range(len(self.parts)):
-            rows, found = self.solve(number, population, np.arange(self.samples))
+            rows, found = self.solve(number, population, np.arange(first))
             values |= rows
-            doubt |= {name: np.zeros(self.samples) for name in rows}
             status.append(found)
+        wanted = {} if aims is None else aims(values, 0.0)
+        doubt: dict[str, np.ndarray] = {}
+        for number, part in enumerate(self.parts):
+            idle = not any(wanted.get(name) for name in part.names) and succeeded(status[number]).all()
+            if first < self.samples and not idle:
+                rows, found = self.solve(number, population, np.arange(first, self.samples))
+                values |= {name: np.append(values[name], row) for name, row in rows.items()}
+                status[number] = np.append(status[number], found)
+            for name in part.names:
+                solved, row = np.arange(self.samples) < len(values[name]), values[name]
+                values[name] = np.resize(row, self.samples)
+                doubt[name] = np.where(solved, 0.0, row.std())
+            status[number] = np.resize(status[number], self.samples)
         place = _place(population)
         self._remember(_Known(population, place, values, doubt, status, [place] * len(self.parts)))
         return _whole(values, status)
