@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
+from rvjax._jax.blocks import PULLED
 from rvjax.population import Population, drawn, root_key
 from rvjax.response import BLOCK, Response, elements, is_costly, parts
 from rvjax.status import succeeded, worst
@@ -107,9 +108,7 @@ class Followed:
         self._remember(new)
         return _whole(new.values, new.status)
 
-    def all_at(
-        self, population: Population, aims: Aims | None = None
-    ) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    def all_at(self, population: Population, aims: Aims | None = None) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """The same, every unit solved; with `aims` only where the first units show that an output decides something.
 
         For the other units of a part that decides nothing those first ones stand in, in turn.
@@ -228,7 +227,7 @@ class Followed:
         """{name: units with gradients (n,), and the change (n,) that these predict from one set to another}."""
         found = {}
         for name, (units, slopes) in self._slopes.items():
-            lanes = np.resize(units, -(-len(units) // _STEP) * _STEP).reshape(-1, _STEP)  # one program
+            lanes = np.resize(units, -(-len(units) // PULLED) * PULLED).reshape(-1, PULLED)  # one program
             here, there = (
                 np.concatenate([np.asarray(elements(p, jnp.asarray(self.z[:, row]))) for row in lanes], axis=1)
                 for p in (before, after)

@@ -135,16 +135,21 @@ class Rounding:
             point: of the model.
             best: half-widths that cost more. Free fields are searched and certified, which adds to their cost.
         """
-        training, now = self.training, self.cost(best) * (1 - 1e-9)
-        if len(places) < len(self.priced):
-            now = min(now, (1 + _NEAR) * self.dearest(best))
+        now = self.cost(best) * (1 - 1e-9)
         trials = [trial for trial in (places, *self.moves(places)) if trial not in self.tried]
-        if not trials:
-            return []
-        sets = np.stack([self.fitted(trial, point) for trial in trials])
-        met = np.all(predicted(point, training.distance, training.powers, sets) <= 1 + _NEAR, axis=1)
-        priced = [(self.cost(t), k) for k, t in enumerate(sets) if met[k]]
-        return [trials[k] for cost, k in sorted(priced) if cost < now]
+        if len(places) < len(self.priced):  # the coarsest free fields cost least, the finest keep the limits best
+            now = min(now, (1 + _NEAR) * self.dearest(best))
+            trials = [trial for trial in trials if self.cost(self.at(trial, self.search.high)) < now]
+            held = self._held(point, [self.at(trial, self.search.low) for trial in trials])
+            trials = [trial for trial, yes in zip(trials, held) if yes]
+        fits = [self.fitted(trial, point) for trial in trials]
+        costs = [self.cost(t) if yes else math.inf for t, yes in zip(fits, self._held(point, fits))]
+        return [trials[k] for k in np.argsort(costs, kind="stable") if costs[k] < now]
+
+    def _held(self, point: Point, sets: list[np.ndarray]) -> np.ndarray:
+        """Which half-widths (n,) keep every limit in the model around a point, as far as that is known."""
+        each = np.reshape(sets, (-1, len(point.half_widths)))
+        return np.all(predicted(point, self.training.distance, self.training.powers, each) <= 1 + _NEAR, axis=1)
 
     def moves(self, places: Places) -> Iterator[Places]:
         """Up to two grades coarser or finer in one or two fields; one grade in up to four where fields are few.
@@ -158,7 +163,9 @@ class Rounding:
             for fields in itertools.combinations(places, count):
                 for steps in itertools.product((1, -1) if count > 2 else (1, -1, 2, -2), repeat=count):
                     moved = {j: places[j] + step for j, step in zip(fields, steps)}
-                    if (free or max(steps) > 0) and all(0 <= place < len(self.ladders[j]) for j, place in moved.items()):
+                    if (free or max(steps) > 0) and all(
+                        0 <= place < len(self.ladders[j]) for j, place in moved.items()
+                    ):
                         yield places | moved
 
     def fitted(self, places: Places, point: Point) -> np.ndarray:
