@@ -98,10 +98,11 @@ class Followed:
         known = min(self._known, key=lambda item: _distance(item.place, place), default=None)
         if known is None or _distance(known.place, place) > _FAR:
             return self.all_at(population, None if known is None else aims)
-        if _distance(known.place, place) <= _ALIKE and self._settled(known, aims, wrong):
+        numbers = range(len(self.parts))
+        if _distance(known.place, place) <= _ALIKE and all(self.settled(known, n, place, aims, wrong) for n in numbers):
             return _whole(known.values, known.status)
         found = _Step(self, known, population)
-        found.begin(aims)
+        found.begin(aims, wrong)
         while found.widen(aims, wrong):
             pass
         new = _Known(population, place, found.values, found.doubt, found.status, found.seen)
@@ -239,11 +240,13 @@ class Followed:
         """Some units at random."""
         return self._random.choice(self.samples, min(count, self.samples), replace=False)
 
-    def _settled(self, known: _Known, aims: Aims, most: float) -> bool:
-        """True if the stored values of a set suffice for other aims."""
-        wanted = aims(known.values, 0.0)
-        wrong = [_wrong(known.values[n], known.doubt[n], wanted.get(n, [])).sum() for n in self.names]
-        return max(wrong) <= most
+    def settled(self, known: _Known, number: int, place: np.ndarray, aims: Aims, most: float) -> bool:
+        """True if the stored values of a part suffice for other aims at the place of its latest units."""
+        moved, names = _distance(known.seen[number], place), self.parts[number].names
+        wanted = aims(known.values, moved)
+        if moved > _ALIKE:
+            return not any(wanted.get(n) for n in names)
+        return all(_wrong(known.values[n], known.doubt[n], wanted.get(n, [])).sum() <= most for n in names)
 
     def _remember(self, known: _Known) -> None:
         others = [item for item in self._known if _distance(item.place, known.place) > _ALIKE]
@@ -267,12 +270,14 @@ class _Step:
             self.before[name] = known.values[name].copy()
             self.before[name][rows] += change
 
-    def begin(self, aims: Aims) -> None:
+    def begin(self, aims: Aims, most: float) -> None:
         """Solve the units nearest where they decide, some at random, and all that failed."""
         for number, part in enumerate(self.units.parts):
             moved = _distance(self.seen[number], self.place)
             wanted = aims(self.known.values, moved)
             if moved <= _IDLE and not any(wanted.get(name) for name in part.names):
+                continue
+            if moved <= _ALIKE and self.units.settled(self.known, number, self.place, aims, most):
                 continue
             first = np.zeros(self.units.samples, bool)
             first[self.random] = True
