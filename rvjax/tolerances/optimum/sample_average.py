@@ -79,8 +79,7 @@ class Training:
         self._made: dict[str, tuple[float, Tolerance]] = {}  # the latest tolerance of each field, by its half-width
         self.lanes = min(samples, max(_FEWEST_LANES, samples // _LANES_PART, _LANES_OF_A_FIELD * len(fields)))
         self._slopes: dict[int, tuple[np.ndarray, np.ndarray]] = {}  # where they were computed, and of s^power
-        self.wrong = WRONG
-        """Costly units expected on the wrong side of a limit, at most."""
+        self.wrong = WRONG  # costly units expected on the wrong side of a limit, at most
         self.followed: Followed | None = None
         """Its units where they are costly; the others are all solved at every set of half-widths."""
         if followable(response, requirements):
