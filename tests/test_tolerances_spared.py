@@ -60,7 +60,7 @@ def learning():
 
 def test_slopes_count_on_for_another_target():
     """Of a normal response they are in proportion to its quantile: those of units at 95 % serve 99 % to 3 %."""
-    training, t = learning(), np.array([0.5, 0.4])
+    training, t = learning(), np.array([0.8, 0.6])
     training.point(t)
     required = {"": WANTED.aimed(0.99)}
     before, other = training.followed.solved, training.aimed(required, t, 2.0)
@@ -69,16 +69,26 @@ def test_slopes_count_on_for_another_target():
     fresh = Training(Costly(pair), Population.of(PAIR), tuple(PAIR), required, None, UNITS, 0).point(t)
     np.testing.assert_allclose(found.margins, fresh.margins, rtol=1e-3)
     np.testing.assert_allclose(found.slopes, fresh.slopes, rtol=0.03)
+    assert (found.slopes > 0.1).all()
 
 
-def test_a_search_that_has_settled_looks_no_further():
-    """The model promises less than the search would end for."""
+def test_a_search_looks_no_further_where_its_model_promises_little():
+    """1.5 % off the optimum along the limit a cost is 0.01 % dearer, less than the search ends for; 20 % off, more."""
     search = Search(learning(), COSTS, 50)
     point, settled = search.run(search.look(np.array([0.9, 0.9])))
-    count = len(search.history)
-    again, still = search.run(point)
-    assert settled and still and count > 2 and len(search.history) == count
-    np.testing.assert_array_equal(again.half_widths, point.half_widths)
+    assert settled and len(search.history) > 2
+
+    def at_limit(factor):
+        t = point.half_widths * np.array([factor, 1.0])
+        return search.look(t / (1 + search.training.margins(t)[0]))  # a linear response moves with its half-widths
+
+    least = search.cost(at_limit(1.0).half_widths)
+    for factor, looks in ((1.015, 0), (1.2, 1)):
+        off = at_limit(factor)
+        count = len(search.history)
+        again, still = search.run(off)
+        assert still and (len(search.history) > count) is (looks > 0)
+        assert search.cost(again.half_widths) == pytest.approx(least, rel=2e-3)
 
 
 def test_a_curve_begins_where_the_search_ended():
