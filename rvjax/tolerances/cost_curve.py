@@ -173,11 +173,11 @@ def cost_of_yields(
     start = start if solved is None or solved.learned is None else solved.learned
     goal = min(float(getattr(item, item.goal)) for item in requirements.values() if item.goal == "target")
     for side in (sorted((x for x in targets if x < goal), reverse=True), sorted(x for x in targets if x >= goal)):
-        t, training = start, None if solved is None else solved.training
+        t, before = start, None if solved is None else solved.training
         for target in side:
             required = _moved(requirements, "target", None, target)
-            if solved is not None:
-                training = training.aimed(required, t, math.inf)
+            if before is not None:
+                before = training = before.aimed(required, t, math.inf)
             else:
                 training = Training(response, population, tuple(priced), required, None, samples, seed, memo)
             search = Search(training, priced, _STEPS)

@@ -15,6 +15,7 @@ from rvjax.tolerances.optimum.followed import REACHED, WRONG, Followed
 from rvjax.tolerances.optimum.sample_average import Point
 from rvjax.tolerances.optimum.search import Search
 from rvjax.tolerances.requirements.factors import CUSHION, MOST_FACTOR, bounded, share_factor
+from rvjax.tolerances.requirements.kinds import Requirement
 from rvjax.tolerances.requirements.limits import Limits, Verdict
 
 DRAWS = 8  # certificates in one search; every one is a new chance to pass by luck
@@ -200,5 +201,6 @@ def reach(item: Limits, values: np.ndarray, deviate: float) -> float:
         values: (n,) of independent units, nan where one failed.
         deviate: standard errors by which the share must exceed the target.
     """
+    assert isinstance(item, Requirement)
     middle, proves = float(np.median(item.margins(values))), item.certified_margin(values, deviate)
     return 1 - proves / middle if middle < 0 else math.inf

@@ -47,10 +47,10 @@ class Rounding:
     def graded(self, half_widths: np.ndarray, certificate: Statistics) -> tuple[np.ndarray, dict[str, str], Statistics]:
         """The loosest grades not wider than certified half-widths, then cheaper ones while a certificate holds.
 
-        One grade at a time becomes coarser, by saving. A field without a size, or without a grade within its
-        process range that is as fine as its half-width, stays free: it uses the remaining margin, and is tightened
-        where a coarser grade then reduces the total cost. Exchanges end the search: some fields one grade coarser,
-        others finer.
+        A field without a size, or without a grade within its process range that is as fine as its half-width, stays
+        free: it uses the remaining margin. Beside free fields the model orders the sets near these grades, cheapest
+        first. Without any one grade at a time becomes coarser, by saving. Exchanges end the search: some fields one
+        grade coarser, others finer.
 
         Returns:
             Half-widths, {field: grade} of the rounded ones, and the certificate of exactly these.
@@ -66,7 +66,7 @@ class Rounding:
         learned = self.cost(self.search.model_optimum(self.search.look(half_widths), RADIUS)[0])
         self.surplus = 1 + _LEAST_SURPLUS * max(self.cost(half_widths) / learned - 1, 0.0) if learned > 0 else 1.0
         best = self.at(places, half_widths)
-        proof: Statistics | None = None  # none yet: finer than what is certified, and most often not the last word
+        proof: Statistics | None  # none yet: finer than what is certified, and most often not the last word
         if len(places) < len(self.priced):
             places, best, proof = self.cheapest_first(places, best, self.search.look(half_widths))
         else:
@@ -102,10 +102,16 @@ class Rounding:
     def cheapest_first(
         self, places: Places, best: np.ndarray, point: Point
     ) -> tuple[Places, np.ndarray, Statistics | None]:
-        """Of some grades and those near them the first whose certificate holds, in the order of the model's costs."""
+        """Of some grades and those near them the first set whose certificate holds; None if none does.
+
+        Args:
+            places: of the grades.
+            best: half-widths with these grades.
+            point: whose model orders the sets by cost.
+        """
         trials = self.proposed(places, point, best)[:_TRIED]
         for trial in trials if places in trials else [*trials, places]:
-            found, drawn = self.certified(trial, best, point=point)
+            found, drawn = self.certified(trial, best, model=point)
             if drawn is not None and self.certifier.holds(drawn) and self.cost(found) < self.cost(best):
                 return trial, found, drawn
         return places, best, None
@@ -118,7 +124,7 @@ class Rounding:
         while True:
             point = self.search.look(best)
             for trial in self.proposed(places, point, best)[:_TRIED]:
-                found, drawn = self.certified(trial, best, _NEAR, point=point)
+                found, drawn = self.certified(trial, best, _NEAR, model=point)
                 if drawn is not None and self.certifier.holds(drawn) and self.cost(found) < self.cost(best):
                     places, best, certificate = trial, found, drawn
                     break
@@ -183,12 +189,12 @@ class Rounding:
         half_widths: np.ndarray,
         beyond: float = BEYOND,
         most: float | None = None,
-        point: Point | None = None,
+        model: Point | None = None,
     ) -> tuple[np.ndarray, Statistics | None]:
         """The free fields fitted to some grades, and a certificate unless it is foreseen that it would not hold.
 
         `beyond` a limit by more than this part of the way there, the learning sample alone decides. They cost less than
-        `most`; None: than the half-widths. The search begins where the model around `point` fits the free fields.
+        `most`; None: than the half-widths. The search begins where the model around a point fits the free fields.
         """
         dearest, most = (self.dearest(half_widths), self.cost(half_widths)) if most is None else (most, most)
         t, free = self.at(places, half_widths), len(places) < len(self.priced)
@@ -197,7 +203,7 @@ class Rounding:
             self.tried.append(places)
             held = np.array([j in places for j in range(len(t))])
             search.low, search.high = np.where(held, t, search.low), np.where(held, t, search.high)
-            point = search.look(t if point is None else self.fitted(places, point))
+            point = search.look(t if model is None else self.fitted(places, model))
             finest = predicted(point, self.training.distance, self.training.powers, search.low[None])
             if not (finest <= 1 + beyond).all():
                 return t, None
