@@ -211,7 +211,7 @@ def both(e):
 
 
 @pytest.mark.parametrize("near", [True, False])
-def test_the_first_units_stand_in_for_the_others_of_a_part_that_decides_nothing(near):
+def test_the_first_units_represent_the_others_of_a_part_that_decides_nothing(near):
     """Where nothing is predicted; a part that decides something there is solved for all units."""
     start = {**WAVES, "z": Tolerance(0.0, 2.0, distribution="rayleigh")}
     here, there = (Population.of(start | {"z": start["z"].with_half_width(t)}) for t in (1.0, 0.3))

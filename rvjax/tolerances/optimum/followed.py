@@ -96,7 +96,7 @@ class Followed:
     def all_at(self, population: Population, aims: Aims | None = None) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """The same, every unit solved; with `aims` only where the first units show that an output decides something.
 
-        For the other units of a part that decides nothing those first ones stand in, in turn.
+        The first ones, in turn, represent the other units of a part that decides nothing.
         """
         first = self.samples if aims is None else min(_FIRST, self.samples)
         values: dict[str, np.ndarray] = {}

@@ -48,7 +48,7 @@ class Rounding:
         """The loosest grades not wider than certified half-widths, then cheaper ones while a certificate holds.
 
         A field without a size, or without a grade within its process range that is as fine as its half-width, stays
-        free: it uses the remaining margin. Beside free fields the model orders the sets near these grades, cheapest
+        free: it uses the remaining margin. With free fields the model orders the sets near these grades, cheapest
         first. Without any one grade at a time becomes coarser, by saving. Exchanges end the search: some fields one
         grade coarser, others finer.
 
@@ -153,7 +153,7 @@ class Rounding:
         return [trials[k] for k in np.argsort(costs, kind="stable") if costs[k] < now]
 
     def _held(self, point: Point, sets: list[np.ndarray]) -> np.ndarray:
-        """Which half-widths (n,) keep every limit in the model around a point, as far as that is known."""
+        """Half-widths (n,) that keep every limit in the model around a point, within its error."""
         each = np.reshape(sets, (-1, len(point.half_widths)))
         return np.all(predicted(point, self.training.distance, self.training.powers, each) <= 1 + _NEAR, axis=1)
 
