@@ -5,6 +5,7 @@ Oracles: the closed form of a linear response with costs 1/t (sqrt(sum a_j^2 t_j
 targets to 1 %. Prices are judged to 4 %.
 """
 
+import itertools
 import math
 
 import jax.numpy as jnp
@@ -31,6 +32,8 @@ from rvjax.tolerances import (
     worst_case,
 )
 from rvjax.tolerances.optimum import conlin
+from rvjax.tolerances.optimum.conlin import predicted
+from rvjax.tolerances.optimum.rounding import Rounding
 from rvjax.tolerances.optimum.sample_average import Training
 from rvjax.tolerances.optimum.search import Search
 from rvjax.units import mm, um
@@ -223,6 +226,50 @@ def test_free_fields_take_up_what_the_grades_leave():
     halves = [t for t in halves if 1 * um <= t and t < reach]
     total = [10 * um / t + 20 * um / math.sqrt(reach**2 - t**2) for t in halves]
     assert graded.cost == pytest.approx(min(total), rel=1e-6)
+
+
+THREE = {name: Tolerance.symmetric(10 * um, size=None if name == "c" else 25 * mm) for name in "abc"}
+CHAIN = Linear({"a": 1.0, "b": 2.0, "c": 1.5})
+
+
+def rounding(sized):
+    """Grades beside free fields, or for all of them, at half-widths within the limit, and the model there."""
+    parts = {name: item.replace(size=25 * mm if sized else item.size) for name, item in THREE.items()}
+    costs = dict.fromkeys(parts, ReciprocalPower(finest=2 * um, coarsest=40 * um))
+    required = {"": Requirement(lower=-1.2 * LIMIT, upper=1.2 * LIMIT)}
+    search = Search(Training(CHAIN, Population.of(parts), tuple(parts), required, None, 4096, 0), costs, 50)
+    found = Rounding(search, None, costs)
+    return found, search.look(np.array([9.0, 9.0, 9.0]) * um)
+
+
+@pytest.mark.parametrize("sized", [True, False])
+def test_finer_grades_may_pay_where_free_fields_take_up_what_they_leave(sized):
+    """All sets within two grades of one, of up to two fields; without free fields one becomes coarser at least."""
+    found, _ = rounding(sized)
+    places = {j: 3 for j, ladder in found.ladders.items() if ladder}
+    steps = [np.array([trial[j] - 3 for j in places]) for trial in found.moves(places)]
+    finer = [step for step in steps if step.max() <= 0]
+    if sized:
+        assert not finer
+    else:
+        every = {step for step in itertools.product(range(-2, 3), repeat=2) if any(step)}
+        assert {tuple(step) for step in steps} == every and len(finer) == 8
+
+
+def test_proposed_grades_are_those_of_the_model_that_cost_less():
+    """Every set is fitted here; sets that cannot keep the limit, or cost too much, are left out before any fit."""
+    found, point = rounding(False)
+    places, best = {0: 3, 1: 3}, 0.75 * point.half_widths
+    trials = [places, *found.moves(places)]
+    fits = [found.fitted(trial, point) for trial in trials]
+    ways = predicted(point, found.training.distance, found.training.powers, np.stack(fits))[:, 0]
+    cheaper = [k for k in range(len(trials)) if ways[k] <= 1.01 and found.cost(fits[k]) < found.cost(best)]
+    cheaper.sort(key=lambda k: found.cost(fits[k]))
+    assert 2 < len(cheaper) < sum(ways <= 1.01) < len(fits)
+    proposed = found.proposed(places, point, best)
+    assert proposed == [trials[k] for k in cheaper]
+    found.tried.append(proposed[0])
+    assert found.proposed(places, point, best) == proposed[1:]
 
 
 def test_the_learned_cost_is_that_of_an_accepted_set():

@@ -36,9 +36,11 @@ KEPT = 65_536  # units of a certificate whose responses are kept, at most
 class Solved:
     """Solved costly units of a search and its certificate."""
 
-    def __init__(self, training: Training, certifier: Certifier) -> None:
+    def __init__(self, training: Training, certifier: Certifier, learned: np.ndarray | None) -> None:
         assert training.followed is not None
         self.training, self.certifier, self.parts = training, certifier, training.followed.parts
+        self.learned = learned
+        """Half-widths (j,) before certification, None without any."""
 
     def given(self, tolerances: Any, requirements: dict[str, Limits]) -> Statistics:
         """Statistics of the units of the search with the tolerances from which it began."""
@@ -180,7 +182,9 @@ def allocated(
         if rounded is not None:
             graded = dataclasses.replace(allocation_of(problem, rounded, names, solved), grades=chosen, ranges={})
             result = dataclasses.replace(result, graded=graded)
-    return unwrapped(result), Solved(solver.training, solver.certifier) if isinstance(solver, HalfWidths) else None
+    if not isinstance(solver, HalfWidths):
+        return unwrapped(result), None
+    return unwrapped(result), Solved(solver.ended, solver.certifier, solver.learned)
 
 
 def block(samples: int, certificate_samples: int) -> int:

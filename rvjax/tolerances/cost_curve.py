@@ -21,7 +21,7 @@ from rvjax.tolerances.optimum.search import NOISE, Search
 from rvjax.tolerances.requirements.limits import Limits
 
 _DRAWN_TO = 0.01  # part of a cost, or of the way to a limit, to which a point of costly units is searched
-_WRONG = 2.0  # costly units on the wrong side of a limit: a quarter of the standard error at 99 % of 8,192 units
+_WRONG = 0.5  # costly units on the wrong side of a limit, in standard errors of the number beyond it
 _STEPS = 30  # sets of half-widths that a search for one yield looks at, at most
 
 
@@ -170,30 +170,38 @@ def cost_of_yields(
     population, points = Population.of(tolerances), []
     priced = {name: costs[name] for name in population.active if name in costs}
     start = np.array([float(population.active[name].half_width) for name in priced])
+    start = start if solved is None or solved.learned is None else solved.learned
     goal = min(float(getattr(item, item.goal)) for item in requirements.values() if item.goal == "target")
     for side in (sorted((x for x in targets if x < goal), reverse=True), sorted(x for x in targets if x >= goal)):
-        t = start
+        t, before = start, None if solved is None else solved.training
         for target in side:
             required = _moved(requirements, "target", None, target)
-            if solved is not None:
-                training = solved.training.aimed(required)
+            if before is not None:
+                before = training = before.aimed(required, t, math.inf)
             else:
                 training = Training(response, population, tuple(priced), required, None, samples, seed, memo)
             search = Search(training, priced, _STEPS)
             if solved is not None:
                 search.settled, search.gain = _DRAWN_TO, _DRAWN_TO
-            point, _ = search.run(search.begin(t))
+            point = search.begin(t)
+            training.wrong = _wrong(target, samples)
+            point, _ = search.run(point)
             if not (point.margins <= NOISE * training.distance).all():
                 continue
             t = point.half_widths
             made = training.with_half_widths(t)
             if solved is not None:
-                fresh = solved.certifier.draw(made, wrong=_WRONG)
+                fresh = solved.certifier.draw(made, wrong=_wrong(target, solved.certifier.run.samples), alone=True)
             else:
                 drawn = units, seed + 1, block(samples, units)
                 fresh = Run(response, made, training.names, required, *drawn, memo=memo).statistics()
             points.append((least_yield(fresh), search.cost(t)))
     return points
+
+
+def _wrong(target: float, units: int) -> float:
+    """Units on the wrong side of a limit that change a yield of some units little."""
+    return _WRONG * math.sqrt(units * target * (1 - target))
 
 
 def least_yield(statistics: Statistics) -> float:

@@ -17,7 +17,7 @@ PASSES = {True: 108, False: 49}  # of a search over its learning sample, with an
 CERTIFICATES = {True: 5, False: 4}
 PASSES_A_POINT = 6  # of the cost curve
 # The same of rv-40e-whole, whose units are costly: passes solve those that decide, certificates share a sample.
-COSTLY_PASSES, COSTLY_CERTIFICATES, COSTLY_PART_OF_A_POINT = 8, 1.8, 0.6
+COSTLY_PASSES, COSTLY_CERTIFICATES, COSTLY_PART_OF_A_POINT = 5, 1.2, 0.4
 # Seconds of a phase besides its units: tracing, compilation (between a first run and one with kept programs), pictures.
 BESIDES = {SEARCHING: 20.0, CERTIFYING: 1.0, SAMPLING: 16.0, PRICING: 12.0}
 COSTLY_BESIDES = {SEARCHING: 35.0, CERTIFYING: 0.0, SAMPLING: 2.0, PRICING: 3.0}

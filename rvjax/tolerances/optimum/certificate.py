@@ -11,11 +11,12 @@ from rvjax.population import Population, deviate_of, wilson
 from rvjax.response import PLAIN
 from rvjax.tolerances.batch.monte_carlo import Run, Statistics
 from rvjax.tolerances.failure.failure import failure_probability
-from rvjax.tolerances.optimum.followed import WRONG, Followed
+from rvjax.tolerances.optimum.followed import REACHED, WRONG, Followed
 from rvjax.tolerances.optimum.sample_average import Point
 from rvjax.tolerances.optimum.search import Search
 from rvjax.tolerances.requirements.factors import CUSHION, MOST_FACTOR, bounded, share_factor
-from rvjax.tolerances.requirements.limits import Verdict
+from rvjax.tolerances.requirements.kinds import Requirement
+from rvjax.tolerances.requirements.limits import Limits, Verdict
 
 DRAWS = 8  # certificates in one search; every one is a new chance to pass by luck
 _RARE = 20_000, 200_000  # units behind a probability of failure
@@ -42,24 +43,51 @@ class Certifier:
         """Units solved so far."""
         return self.units.solved if self.units is not None else self.drawn * self.run.samples
 
-    def draw(self, population: Population, *, keep: bool | None = None, wrong: float = WRONG) -> Statistics:
-        """Statistics of independent units; a target beyond their resolution uses a probability of failure."""
+    def draw(
+        self, population: Population, *, keep: bool | None = None, wrong: float = WRONG, alone: bool = False
+    ) -> Statistics:
+        """Statistics of independent units; a target beyond their resolution uses a probability of failure.
+
+        Args:
+            population: tolerances of the units.
+            keep: keep their values, None: as the run does.
+            wrong: costly units expected on the wrong side of a limit, at most.
+            alone: the verdicts matter alone: costly units near a limit count only where the share may miss its target.
+        """
         self.drawn += 1
         if self.units is None:
             self.run = dataclasses.replace(self.run, seed=self.run.seed + 1)
         asked = dataclasses.replace(self.run, population=population, keep=self.run.keep if keep is None else keep)
-        found = self._followed(asked, wrong) if self.follows else asked.statistics()
+        found = self._followed(asked, wrong, alone) if self.follows else asked.statistics()
         return dataclasses.replace(found, verdicts=found.verdicts | self.rare(population)) if found.verdicts else found
 
-    def _followed(self, asked: Run, wrong: float) -> Statistics:
+    def completed(self, population: Population, statistics: Statistics) -> Statistics:
+        """Statistics that count every unit near a limit, where those of a certificate are of its verdicts alone."""
+        if self.units is None or not statistics.verdicts:
+            return statistics
+        found = self._followed(dataclasses.replace(self.run, population=population), WRONG, False)
+        rare = {n: v for n, v in statistics.verdicts.items() if self.run.requirements[n].beyond(*self._size)}
+        return dataclasses.replace(found, verdicts=found.verdicts | rare)
+
+    @property
+    def _size(self) -> tuple[int, float]:
+        """Units of a certificate, and the confidence of its intervals."""
+        return self.run.samples, self.run.confidence
+
+    def _followed(self, asked: Run, wrong: float, alone: bool) -> Statistics:
         """Statistics of the units of the first certificate, those near a limit solved."""
         if self.units is None:
             self.units = Followed(asked.response, asked.population, asked.samples, asked.seed, asked.memo)
-        ends = {
-            name: [end for end in (item.lower, item.upper) if math.isfinite(end)]
-            for name, item in asked.requirements.items()
-        }
-        return asked.of_units(*self.units.at(asked.population, lambda values, moved: ends, wrong))
+        required, deviate = asked.requirements.items(), deviate_of(asked.confidence)
+        ends = {name: [end for end in (item.lower, item.upper) if math.isfinite(end)] for name, item in required}
+
+        def deciding(values: dict[str, np.ndarray], moved: float) -> dict[str, list[float]]:
+            near = {n for n, item in required if reach(item, values[n], deviate) > REACHED * (1 - moved)}
+            return {name: ends[name] if name in near else [] for name in ends}
+
+        every = not alone or self.joint_target is not None
+        aims = (lambda values, moved: ends) if every else deciding
+        return asked.of_units(*self.units.at(asked.population, aims, wrong))
 
     def rare(self, population: Population) -> dict[str, Verdict]:
         """Verdicts on the targets that the units of a certificate are too few for."""
@@ -128,14 +156,14 @@ class Certifier:
     def settle(self, search: Search, point: Point, *, draws: int = DRAWS) -> tuple[np.ndarray, Statistics]:
         """Tighten half-widths, where that costs least, until a certificate holds; the last one otherwise."""
         half_widths, training = point.half_widths, search.training
-        statistics = self.draw(training.with_half_widths(half_widths))
+        statistics = self.draw(training.with_half_widths(half_widths), alone=True)
         for _ in range(draws - 1):
             factors = self.factors(statistics, training.distance)
             factors[np.argmin(factors)] = max(0.5, min(factors.min(), 1 - _LEAST))
             after = search.tightened(point, half_widths, factors)
             if self.holds(statistics) or self.hopeless() or np.array_equal(after, half_widths):
                 break
-            half_widths, statistics = after, self.draw(training.with_half_widths(after))
+            half_widths, statistics = after, self.draw(training.with_half_widths(after), alone=True)
         return half_widths, statistics
 
     def polished(
@@ -152,7 +180,7 @@ class Certifier:
         wider = search.loosened_to(point, half_widths, np.sqrt(factors))
         if np.array_equal(wider, half_widths):
             return half_widths, statistics
-        drawn = self.draw(training.with_half_widths(wider))
+        drawn = self.draw(training.with_half_widths(wider), alone=True)
         return (wider, drawn) if self.holds(drawn) else (half_widths, statistics)
 
     def shortfall(self, population: Population) -> tuple[Statistics, dict[str, float]]:
@@ -163,3 +191,16 @@ class Certifier:
             for name, item in self.run.requirements.items()
         }
         return statistics if self.run.keep else dataclasses.replace(statistics, values=None), missing
+
+
+def reach(item: Limits, values: np.ndarray, deviate: float) -> float:
+    """Way from the median of some units to the one that would just prove a share, in parts of the way to the limit.
+
+    Args:
+        item: a share within limits.
+        values: (n,) of independent units, nan where one failed.
+        deviate: standard errors by which the share must exceed the target.
+    """
+    assert isinstance(item, Requirement)
+    middle, proves = float(np.median(item.margins(values))), item.certified_margin(values, deviate)
+    return 1 - proves / middle if middle < 0 else math.inf

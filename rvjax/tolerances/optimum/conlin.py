@@ -11,6 +11,7 @@ t_j ~ (c_j k_j / b_j)^(1/(k_j+2)).
 """
 
 import bisect
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -75,16 +76,18 @@ class _Model:
 
     def __init__(self, costs: tuple[Any, ...], start: np.ndarray, *limits: np.ndarray) -> None:
         self.total = float(total_cost(costs, jnp.asarray(np.exp(start))))
-        self._given = jax.device_put((costs, self.total, start, *limits))
+        self._count = len(limits[-1])
+        leaves, self._tree = jax.tree.flatten((costs, self.total, start, *limits))
+        self._given = jax.device_put(leaves)  # flat: records of costs take as long to flatten as all the rest of a call
 
     def minima(self, prices: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
         """Value of the dual function, excess (c,), logarithms of the half-widths (j,) and -Hessian (c, c) at prices."""
-        value, excess, x, bent = jax.device_get(_minima(prices, *self._given))
+        value, excess, x, bent = jax.device_get(_minima(self._tree, prices, *self._given))
         return float(value), excess, x, bent
 
     def first(self) -> np.ndarray:
         """A common price of all constraints from which the dual function falls either way, to a factor of 2."""
-        count = len(self._given[-1])
+        count = self._count
 
         def falls(trial: float) -> bool:
             return bool(self.minima(np.full(count, trial))[1].sum() <= 0)
@@ -151,11 +154,10 @@ def _each(costs: tuple[Any, ...]) -> Callable[[jax.Array], jax.Array]:
     return each
 
 
-@jax.jit
-def _minima(
-    prices: Any, costs: Any, total: Any, start: Any, low: Any, high: Any, constant: Any, weights: Any, powers: Any
-) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+@functools.partial(jax.jit, static_argnums=0)
+def _minima(tree: Any, prices: Any, *leaves: Any) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Dual function at prices (c,), excess (c,), logarithms of the half-widths there, and -d excess/d prices (c, c)."""
+    costs, total, start, low, high, constant, weights, powers = jax.tree.unflatten(tree, leaves)
     cost = _each(costs)
 
     def grown(x: jax.Array) -> jax.Array:

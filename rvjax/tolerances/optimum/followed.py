@@ -13,46 +13,34 @@ Where one half-width of rv-40e-whole grows by a tenth, it leaves 0.1 to 2 % of t
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
-from scipy import special
 
+from rvjax._jax.blocks import PULLED
 from rvjax.population import Population, drawn, root_key
 from rvjax.response import BLOCK, Response, elements, is_costly, parts
-from rvjax.status import succeeded, worst
+from rvjax.status import succeeded
 from rvjax.tolerances.batch.memo import Memo
+from rvjax.tolerances.optimum.known import Known, distance, place_of, whole, wrong_sides
 from rvjax.tolerances.requirements.limits import Limits
 
 WRONG = 0.1  # units expected on the wrong side of a limit, at most
+REACHED = 0.9  # of the way to a limit, within which no costly unit is solved on its account
 _STEP = 128  # units solved next, at least
 _RANDOM = 32  # of the first units solved at a new set
 _IDLE = 0.5  # change of a limit, in half-widths, up to which outputs that decide nothing are not solved again
 _FAR = 1.0  # change of a limit, in half-widths, beyond which nothing is predicted
+_FIRST = 512  # units that show there whether the outputs of a part decide anything
 _LARGEST = 3.0  # standard deviations of the largest of 32 deviations, more than it has by chance (2.1)
 _CAUTION = 1.2  # on the spread, which comes from few units
 _FEWEST = 8  # solved units behind a line of units with gradients
 _KEPT = 24  # sets of tolerances that are remembered
+_ALIKE = 1e-9  # change of a limit, in half-widths, that is rounding
 
 Aims = Callable[[dict[str, np.ndarray], float], dict[str, list[float]]]
 """Values (n,) of all units by name, nan where one failed, and how far limits have moved since, in parts of the larger
 half-width -> values at which a unit of each may decide."""
-
-
-@dataclass(frozen=True)
-class _Known:
-    """All units at one set of tolerances: `doubt` is the standard deviation of a predicted value, 0 of a solved one.
-
-    `seen` is the latest set at which units of each part were solved.
-    """
-
-    population: Population
-    place: np.ndarray
-    values: dict[str, np.ndarray]
-    doubt: dict[str, np.ndarray]
-    status: list[np.ndarray]
-    seen: list[np.ndarray]
 
 
 def followable(response: Response, requirements: dict[str, Limits]) -> bool:
@@ -69,7 +57,7 @@ class Followed:
         self.samples, self.seed, self._memo = samples, seed, memo
         self.parts = parts(response, population)
         self.names = [name for part in self.parts for name in part.names]
-        self._known: list[_Known] = []
+        self._known: list[Known] = []
         self._slopes: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         self._random = np.random.default_rng(seed)
         self._states: list[tuple[np.ndarray, dict[int, np.ndarray]]] = [(np.empty((0, 2)), {}) for _ in self.parts]
@@ -90,40 +78,57 @@ class Followed:
             aims: values at which units decide.
             wrong: units expected on the wrong side of one of these, at most.
         """
-        place = _place(population)
-        known = min(self._known, key=lambda item: _distance(item.place, place), default=None)
-        if known is None or _distance(known.place, place) > _FAR:
-            return self.all_at(population)
-        if not _distance(known.place, place) and self._settled(known, aims, wrong):
-            return _whole(known.values, known.status)
+        place = place_of(population)
+        known = min(self._known, key=lambda item: distance(item.place, place), default=None)
+        if known is None or distance(known.place, place) > _FAR:
+            return self.all_at(population, None if known is None else aims)
+        numbers = range(len(self.parts))
+        if distance(known.place, place) <= _ALIKE and all(self.settled(known, n, place, aims, wrong) for n in numbers):
+            return whole(known.values, known.status)
         found = _Step(self, known, population)
-        found.begin(aims)
+        found.begin(aims, wrong)
         while found.widen(aims, wrong):
             pass
-        new = _Known(population, place, found.values, found.doubt, found.status, found.seen)
+        new = Known(population, place, found.values, found.doubt, found.status, found.seen)
         self._remember(new)
-        return _whole(new.values, new.status)
+        return whole(new.values, new.status)
 
-    def all_at(self, population: Population) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """The same, every unit solved."""
+    def all_at(self, population: Population, aims: Aims | None = None) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """The same, every unit solved; with `aims` only where the first units show that an output decides something.
+
+        The first ones, in turn, represent the other units of a part that decides nothing.
+        """
+        first = self.samples if aims is None else min(_FIRST, self.samples)
         values: dict[str, np.ndarray] = {}
-        doubt: dict[str, np.ndarray] = {}
         status: list[np.ndarray] = []
         for number in range(len(self.parts)):
-            rows, found = self.solve(number, population, np.arange(self.samples))
+            rows, found = self.solve(number, population, np.arange(first))
             values |= rows
-            doubt |= {name: np.zeros(self.samples) for name in rows}
             status.append(found)
-        place = _place(population)
-        self._remember(_Known(population, place, values, doubt, status, [place] * len(self.parts)))
-        return _whole(values, status)
+        wanted = {} if aims is None else aims(values, 0.0)
+        doubt: dict[str, np.ndarray] = {}
+        for number, part in enumerate(self.parts):
+            idle = not any(wanted.get(name) for name in part.names) and succeeded(status[number]).all()
+            if first < self.samples and not idle:
+                rows, found = self.solve(number, population, np.arange(first, self.samples))
+                values |= {name: np.append(values[name], row) for name, row in rows.items()}
+                status[number] = np.append(status[number], found)
+            for name in part.names:
+                solved, row = np.arange(self.samples) < len(values[name]), values[name]
+                values[name] = np.resize(row, self.samples)
+                doubt[name] = np.where(solved, 0.0, row.std())
+            status[number] = np.resize(status[number], self.samples)
+        place = place_of(population)
+        self._remember(Known(population, place, values, doubt, status, [place] * len(self.parts)))
+        return whole(values, status)
 
     def exactly(self, population: Population) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """The same, as it is known already where every unit was solved there."""
-        place = _place(population)
+        place = place_of(population)
         for known in self._known:
-            if not _distance(known.place, place) and not any(row.any() for row in known.doubt.values()):
-                return _whole(known.values, known.status)
+            away = max(distance(there, place) for there in (known.place, *known.seen))
+            if away <= _ALIKE and not any(row.any() for row in known.doubt.values()):
+                return whole(known.values, known.status)
         return self.all_at(population)
 
     def some_at(self, population: Population, units: np.ndarray) -> dict[str, np.ndarray]:
@@ -181,7 +186,7 @@ class Followed:
 
     def _states_at(self, number: int, population: Population) -> dict[int, np.ndarray]:
         """States of the units of a part that were solved at these tolerances; those of others are forgotten."""
-        place = _place(population)
+        place = place_of(population)
         if not np.array_equal(self._states[number][0], place):
             self._states[number] = place, {}
         return self._states[number][1]
@@ -191,7 +196,7 @@ class Followed:
     ) -> np.ndarray:
         if self._memo is None:
             return compute()
-        text = repr((self.parts[number].names, self.seed, _place(population).tolist())).encode()
+        text = repr((self.parts[number].names, self.seed, place_of(population).tolist())).encode()
         return self._memo.recall({what: hashlib.sha256(text + about).hexdigest()}, compute)
 
     def learn(self, name: str, units: np.ndarray, slopes: np.ndarray) -> None:
@@ -208,7 +213,7 @@ class Followed:
         """{name: units with gradients (n,), and the change (n,) that these predict from one set to another}."""
         found = {}
         for name, (units, slopes) in self._slopes.items():
-            lanes = np.resize(units, -(-len(units) // _STEP) * _STEP).reshape(-1, _STEP)  # one program
+            lanes = np.resize(units, -(-len(units) // PULLED) * PULLED).reshape(-1, PULLED)  # one program
             here, there = (
                 np.concatenate([np.asarray(elements(p, jnp.asarray(self.z[:, row]))) for row in lanes], axis=1)
                 for p in (before, after)
@@ -220,26 +225,28 @@ class Followed:
         """Some units at random."""
         return self._random.choice(self.samples, min(count, self.samples), replace=False)
 
-    def _settled(self, known: _Known, aims: Aims, most: float) -> bool:
-        """True if the stored values of a set suffice for other aims."""
-        wanted = aims(known.values, 0.0)
-        wrong = [_wrong(known.values[n], known.doubt[n], wanted.get(n, [])).sum() for n in self.names]
-        return max(wrong) <= most
+    def settled(self, known: Known, number: int, place: np.ndarray, aims: Aims, most: float) -> bool:
+        """True if the stored values of a part suffice for other aims at the place of its latest units."""
+        moved, names = distance(known.seen[number], place), self.parts[number].names
+        wanted = aims(known.values, moved)
+        if moved > _ALIKE:
+            return not any(wanted.get(n) for n in names)
+        return all(wrong_sides(known.values[n], known.doubt[n], wanted.get(n, [])).sum() <= most for n in names)
 
-    def _remember(self, known: _Known) -> None:
-        others = [item for item in self._known if _distance(item.place, known.place)]
+    def _remember(self, known: Known) -> None:
+        others = [item for item in self._known if distance(item.place, known.place) > _ALIKE]
         self._known = [*others[:1], *others[1:][-_KEPT:], known]  # the first one is evaluated again at the end
 
 
 class _Step:
     """Step from one set of tolerances to another."""
 
-    def __init__(self, units: Followed, known: _Known, population: Population) -> None:
+    def __init__(self, units: Followed, known: Known, population: Population) -> None:
         self.units, self.known, self.population = units, known, population
         self.values = {name: row.copy() for name, row in known.values.items()}
         self.doubt = {name: row.copy() for name, row in known.doubt.items()}
         self.status = [row.copy() for row in known.status]
-        self.seen, self.place = list(known.seen), _place(population)
+        self.seen, self.place = list(known.seen), place_of(population)
         self.solved = [np.zeros(units.samples, bool) for _ in units.parts]
         self.random = units.drawn(_RANDOM)
         self.sloped, self.before = {}, dict(known.values)
@@ -248,12 +255,14 @@ class _Step:
             self.before[name] = known.values[name].copy()
             self.before[name][rows] += change
 
-    def begin(self, aims: Aims) -> None:
+    def begin(self, aims: Aims, most: float) -> None:
         """Solve the units nearest where they decide, some at random, and all that failed."""
         for number, part in enumerate(self.units.parts):
-            moved = _distance(self.seen[number], self.place)
+            moved = distance(self.seen[number], self.place)
             wanted = aims(self.known.values, moved)
             if moved <= _IDLE and not any(wanted.get(name) for name in part.names):
+                continue
+            if moved <= _ALIKE and self.units.settled(self.known, number, self.place, aims, most):
                 continue
             first = np.zeros(self.units.samples, bool)
             first[self.random] = True
@@ -273,7 +282,7 @@ class _Step:
         for number, part in enumerate(self.units.parts):
             wrong = np.zeros(self.units.samples)
             for name in part.names:
-                wrong = np.maximum(wrong, _wrong(self.values[name], self.doubt[name], wanted.get(name, [])))
+                wrong = np.maximum(wrong, wrong_sides(self.values[name], self.doubt[name], wanted.get(name, [])))
             if wrong.sum() <= most:
                 continue
             order = np.argsort(-wrong, kind="stable")
@@ -317,33 +326,3 @@ class _Step:
         sd = _CAUTION * max(float(np.sqrt((left**2).sum() / (len(x) - 2))), largest)
         now[others] = predicted[others]
         self.doubt[name][others] = np.hypot(sd, slope * self.known.doubt[name][others])
-
-
-def _wrong(values: np.ndarray, doubt: np.ndarray, levels: list[float]) -> np.ndarray:
-    """Probability (n,) that a unit lies on the other side of one of the levels than its value."""
-    found = np.zeros(len(values))
-    for level in levels:
-        off = np.abs(values - level)
-        ratio = np.divide(off, doubt, out=np.full(len(values), np.inf), where=(doubt > 0) & np.isfinite(off))
-        found = np.maximum(found, special.ndtr(-ratio))
-    return found
-
-
-def _whole(values: dict[str, np.ndarray], status: list[np.ndarray]) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Values, nan where any part of a unit failed, and its worst status."""
-    whole = np.asarray(worst(np.stack(status), axis=0))
-    good = succeeded(np.asarray(whole))
-    return {name: np.where(good, row, np.nan) for name, row in values.items()}, whole
-
-
-def _place(population: Population) -> np.ndarray:
-    """Lower and upper limit (fields, 2) of the tolerances; a number of the design as limits of 10 %."""
-    limits = [(float(t.lower), float(t.upper)) for t in population.active.values()]
-    return np.array(limits + [(0.9 * float(v), 1.1 * float(v)) for v in (population.values or {}).values()])
-
-
-def _distance(one: np.ndarray, other: np.ndarray) -> float:
-    """Largest change of a limit, in parts of the larger half-width."""
-    half = np.maximum(one[:, 1] - one[:, 0], other[:, 1] - other[:, 0]) / 2
-    moved = np.abs(one - other).max(axis=1)
-    return float(np.max(moved / np.where(half > 0, half, 1.0), initial=0.0))

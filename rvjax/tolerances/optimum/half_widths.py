@@ -34,6 +34,10 @@ class HalfWidths:
         self.search = Search(self.training, problem.priced, problem.max_steps, problem.advance)
         follows = self.training.followed is not None
         self.certifier = certifier or Certifier(problem.run, problem.joint_target, follows=follows)
+        self.learned: np.ndarray | None = None
+        """The cheapest half-widths (j,) before certification, None where none meet every requirement."""
+        self.ended = self.training
+        """The sample at the end of the search: grades have slopes of their own."""
 
     def solution(self) -> Found:
         """The cheapest certified half-widths, or the shortfall of the finest."""
@@ -46,6 +50,7 @@ class HalfWidths:
         """A solution with its half-widths rounded to grades, and the grades."""
         rounding = Rounding(self.search, self.certifier, self.problem.priced)
         t, grades, certificate = rounding.graded(found.decisions.half_widths(found.x), found.certificate)
+        certificate = self.certifier.completed(self.training.with_half_widths(t), certificate)
         x, cost = found.decisions.with_half_widths(found.x, t), found.cost + self._dearer(found, t)
         return with_grades(found, x, certificate, cost, certified=self.certifier.holds(certificate)), grades
 
@@ -63,6 +68,10 @@ class HalfWidths:
             half_widths, certificate = self._certified(point, start)
         else:
             half_widths, certificate = self._aimed(point, start)
+        certificate = certifier.completed(training.with_half_widths(half_widths), certificate)
+        self.learned = point.half_widths
+        if training.followed is not None:
+            self.ended = training.aimed(training.requirements, point.half_widths, training.wrong)
         learned, nothing = search.cost(point.half_widths), dict.fromkeys(training.requirements, 0.0)
         status = status_of(
             certified=certifier.holds(certificate), exact=True, cost=search.cost(half_widths), learned=learned,
@@ -85,7 +94,7 @@ class HalfWidths:
             if certifier.hopeless():
                 break
             if search.promising(other):
-                drawn = certifier.draw(self.training.with_half_widths(other))
+                drawn = certifier.draw(self.training.with_half_widths(other), alone=True)
                 if certifier.holds(drawn):
                     return other, drawn
         return best, certificate

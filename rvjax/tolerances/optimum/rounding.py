@@ -43,16 +43,18 @@ class Rounding:
         self.ladders = {j: _ladder(active[name].size, cost) for j, (name, cost) in enumerate(priced.items())}
         self.known: list[tuple[np.ndarray, Statistics]] = []
         """Certified half-widths, whether their certificate holds or not."""
+        self.tried: list[Places] = []
+        """Grades to which free fields were fitted."""
         self.surplus = 1.0
         """Cost of certified half-widths over that of the optimum of the sample, at least."""
 
     def graded(self, half_widths: np.ndarray, certificate: Statistics) -> tuple[np.ndarray, dict[str, str], Statistics]:
         """The loosest grades not wider than certified half-widths, then cheaper ones while a certificate holds.
 
-        One grade at a time becomes coarser, by saving. A field without a size, or without a grade within its
-        process range that is as fine as its half-width, stays free: it uses the remaining margin, and is tightened
-        where a coarser grade then reduces the total cost. Exchanges end the search: some fields one grade coarser,
-        others finer.
+        A field without a size, or without a grade within its process range that is as fine as its half-width, stays
+        free: it uses the remaining margin. With free fields the model orders the sets near these grades, cheapest
+        first. Without any one grade at a time becomes coarser, by saving. Exchanges end the search: some fields one
+        grade coarser, others finer.
 
         Returns:
             Half-widths, {field: grade} of the rounded ones, and the certificate of exactly these.
@@ -68,24 +70,13 @@ class Rounding:
         learned = self.cost(self.search.model_optimum(self.search.look(half_widths), RADIUS)[0])
         self.surplus = 1 + _LEAST_SURPLUS * max(self.cost(half_widths) / learned - 1, 0.0) if learned > 0 else 1.0
         best = self.at(places, half_widths)
-        proof: Statistics | None = None  # none yet: finer than what is certified, and most often not the last word
-        open_ = set(places)
-        # The grades as they are come first where free fields may take up what they leave.
-        trial = dict(places) if len(places) < len(self.priced) else None
-        while proof is None or self.certifier.holds(proof):
-            if trial is not None:
-                found, drawn = self.certified(trial, best) if self.may_be_cheaper(trial, best) else (best, None)
-                if drawn is not None and self.certifier.holds(drawn) and self.cost(found) < self.cost(best):
-                    best, places, proof = found, trial, drawn
-                else:
-                    open_ -= {j for j in open_ if trial[j] != places[j]}
-            open_ = {j for j in open_ if places[j] + 1 < len(self.ladders[j])}
-            if not open_:
-                break
-            j = max(open_, key=lambda j: self.saving(j, places[j]))
-            trial = {**places, j: places[j] + 1}
+        proof: Statistics | None  # none yet: finer than what is certified, and most often not the last word
+        if len(places) < len(self.priced):
+            places, best, proof = self.cheapest_first(places, best, self.search.look(half_widths))
+        else:
+            places, best, proof = self.coarsened(places, best)
         fields = list(self.priced)
-        certificate = proof or self.certifier.draw(self.training.with_half_widths(best))
+        certificate = proof or self.certifier.draw(self.training.with_half_widths(best), alone=True)
         if not self.certifier.holds(certificate) and len(places) < len(self.priced):  # finer need not be better
             self.known.append((best, certificate))
             found, drawn = self.certified(places, best, most=math.inf)
@@ -95,14 +86,49 @@ class Rounding:
             places, best, certificate = self.exchanged(places, best, certificate)
         return best, {fields[j]: self.ladders[j][place][0] for j, place in places.items()}, certificate
 
+    def coarsened(self, places: Places, best: np.ndarray) -> tuple[Places, np.ndarray, Statistics | None]:
+        """One grade after the other coarser, by saving, while a certificate holds; None if none was tried."""
+        proof: Statistics | None = None
+        open_ = set(places)
+        while proof is None or self.certifier.holds(proof):
+            open_ = {j for j in open_ if places[j] + 1 < len(self.ladders[j])}
+            if not open_:
+                break
+            j = max(open_, key=lambda j: self.saving(j, places[j]))
+            trial = {**places, j: places[j] + 1}
+            found, drawn = self.certified(trial, best)
+            if drawn is not None and self.certifier.holds(drawn) and self.cost(found) < self.cost(best):
+                best, places, proof = found, trial, drawn
+            else:
+                open_.remove(j)
+        return places, best, proof
+
+    def cheapest_first(
+        self, places: Places, best: np.ndarray, point: Point
+    ) -> tuple[Places, np.ndarray, Statistics | None]:
+        """Of some grades and those near them the first set whose certificate holds; None if none does.
+
+        Args:
+            places: of the grades.
+            best: half-widths with these grades.
+            point: whose model orders the sets by cost.
+        """
+        trials = self.proposed(places, point, best)[:_TRIED]
+        for trial in trials if places in trials else [*trials, places]:
+            found, drawn = self.certified(trial, best, model=point)
+            if drawn is not None and self.certifier.holds(drawn) and self.cost(found) < self.cost(best):
+                return trial, found, drawn
+        return places, best, None
+
     def exchanged(
         self, places: Places, best: np.ndarray, certificate: Statistics
     ) -> tuple[Places, np.ndarray, Statistics]:
         """Cheaper grades near certified ones: the model proposes, the sample selects, a certificate decides."""
         most = self.certifier.drawn + _EXCHANGES
         while True:
-            for trial in self.proposed(places, self.search.look(best))[:_TRIED]:
-                found, drawn = self.certified(trial, best, _NEAR)
+            point = self.search.look(best)
+            for trial in self.proposed(places, point, best)[:_TRIED]:
+                found, drawn = self.certified(trial, best, _NEAR, model=point)
                 if drawn is not None and self.certifier.holds(drawn) and self.cost(found) < self.cost(best):
                     places, best, certificate = trial, found, drawn
                     break
@@ -111,19 +137,35 @@ class Rounding:
             else:
                 return places, best, certificate
 
-    def proposed(self, places: Places, point: Point) -> list[Places]:
-        """Exchanged grades that are feasible and cheaper in the model around a point, the cheapest first."""
-        training, now = self.training, self.cost(point.half_widths)
-        trials = list(self.moves(places))
-        if not trials:
-            return []
-        sets = np.stack([self.fitted(trial, point) for trial in trials])
-        met = np.all(predicted(point, training.distance, training.powers, sets) <= 1 + _NEAR, axis=1)
-        priced = [(self.cost(t), k) for k, t in enumerate(sets) if met[k]]
-        return [trials[k] for cost, k in sorted(priced) if cost < now * (1 - 1e-9)]
+    def proposed(self, places: Places, point: Point, best: np.ndarray) -> list[Places]:
+        """Exchanged grades that are feasible and cheaper in the model around a point, the cheapest first.
+
+        Args:
+            places: of the grades from which fields move.
+            point: of the model.
+            best: half-widths that cost more. Free fields are searched and certified, which adds to their cost.
+        """
+        now = self.cost(best) * (1 - 1e-9)
+        trials = [trial for trial in (places, *self.moves(places)) if trial not in self.tried]
+        if len(places) < len(self.priced):  # the coarsest free fields cost least, the finest keep the limits best
+            now = min(now, (1 + _NEAR) * self.dearest(best))
+            trials = [trial for trial in trials if self.cost(self.at(trial, self.search.high)) < now]
+            held = self._held(point, [self.at(trial, self.search.low) for trial in trials])
+            trials = [trial for trial, yes in zip(trials, held) if yes]
+        fits = [self.fitted(trial, point) for trial in trials]
+        costs = [self.cost(t) if yes else math.inf for t, yes in zip(fits, self._held(point, fits))]
+        return [trials[k] for k in np.argsort(costs, kind="stable") if costs[k] < now]
+
+    def _held(self, point: Point, sets: list[np.ndarray]) -> np.ndarray:
+        """Half-widths (n,) that keep every limit in the model around a point, within its error."""
+        each = np.reshape(sets, (-1, len(point.half_widths)))
+        return np.all(predicted(point, self.training.distance, self.training.powers, each) <= 1 + _NEAR, axis=1)
 
     def moves(self, places: Places) -> Iterator[Places]:
-        """Up to two grades coarser or finer in one or two fields; one grade in up to four where fields are few."""
+        """Up to two grades coarser or finer in one or two fields; one grade in up to four where fields are few.
+
+        Without free fields, which finer grades may make cheaper, one becomes coarser at least.
+        """
         free = len(places) < len(self.priced)
         for count in range(1, min(len(places), 2 if free else 4) + 1):
             if count > 2 and math.comb(len(places), count) * 2**count > _MOVES:
@@ -131,7 +173,9 @@ class Rounding:
             for fields in itertools.combinations(places, count):
                 for steps in itertools.product((1, -1) if count > 2 else (1, -1, 2, -2), repeat=count):
                     moved = {j: places[j] + step for j, step in zip(fields, steps)}
-                    if max(steps) > 0 and all(0 <= place < len(self.ladders[j]) for j, place in moved.items()):
+                    if (free or max(steps) > 0) and all(
+                        0 <= place < len(self.ladders[j]) for j, place in moved.items()
+                    ):
                         yield places | moved
 
     def fitted(self, places: Places, point: Point) -> np.ndarray:
@@ -144,20 +188,26 @@ class Rounding:
         return cheapest(self.costs, point, self.training.distance, self.training.powers, low, high)[0]
 
     def certified(
-        self, places: Places, half_widths: np.ndarray, beyond: float = BEYOND, most: float | None = None
+        self,
+        places: Places,
+        half_widths: np.ndarray,
+        beyond: float = BEYOND,
+        most: float | None = None,
+        model: Point | None = None,
     ) -> tuple[np.ndarray, Statistics | None]:
         """The free fields fitted to some grades, and a certificate unless it is foreseen that it would not hold.
 
         `beyond` a limit by more than this part of the way there, the learning sample alone decides. They cost less than
-        `most`; None: than the half-widths.
+        `most`; None: than the half-widths. The search begins where the model around a point fits the free fields.
         """
         dearest, most = (self.dearest(half_widths), self.cost(half_widths)) if most is None else (most, most)
         t, free = self.at(places, half_widths), len(places) < len(self.priced)
         search = Search(self.training, self.priced, self.max_steps)
         if free:
+            self.tried.append(places)
             held = np.array([j in places for j in range(len(t))])
             search.low, search.high = np.where(held, t, search.low), np.where(held, t, search.high)
-            point = search.look(t)
+            point = search.look(t if model is None else self.fitted(places, model))
             finest = predicted(point, self.training.distance, self.training.powers, search.low[None])
             if not (finest <= 1 + beyond).all():
                 return t, None
@@ -172,17 +222,11 @@ class Rounding:
             refused = self.foreseen(t, -CUSHION).max() > 1 or not self.search.promising(t, beyond)
             if refused or self.cost(t) >= most:
                 break
-            drawn = self.certifier.draw(self.training.with_half_widths(t))
+            drawn = self.certifier.draw(self.training.with_half_widths(t), alone=True)
             self.known.append((t, drawn))
             if self.certifier.holds(drawn):
                 break
         return t, drawn
-
-    def may_be_cheaper(self, places: Places, best: np.ndarray) -> bool:
-        """False if free fields fitted to these grades cost too much, by the model around `best`."""
-        if len(places) == len(self.priced):
-            return True
-        return self.cost(self.fitted(places, self.search.look(best))) < (1 + _NEAR) * self.dearest(best)
 
     def dearest(self, half_widths: np.ndarray) -> float:
         """Cost of an optimum of the sample beyond which its certificate would cost more than these half-widths."""

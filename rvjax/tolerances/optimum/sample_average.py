@@ -21,7 +21,7 @@ from rvjax.response import BLOCK, Response, elements_and_rates, gradients, respo
 from rvjax.status import succeeded
 from rvjax.tolerances.batch.checkpoint import describe
 from rvjax.tolerances.batch.memo import Memo
-from rvjax.tolerances.optimum.followed import Followed, followable
+from rvjax.tolerances.optimum.followed import REACHED, WRONG, Followed, followable
 from rvjax.tolerances.optimum.jackknife import GROUPS, groups
 from rvjax.tolerances.optimum.shrinkage import MANY, total_of_many
 from rvjax.tolerances.requirements.limits import Limits, Pull, along_reach, nearest, tail_quantile
@@ -33,7 +33,6 @@ _FEWEST_LANES, _LANES_PART, _LANES_OF_A_FIELD = 256, 32, 16
 _MEASURED = 256  # costly units behind the way of a nominal unit to its limit
 _NEARBY = 0.1  # logarithm of a half-width, within which costly units keep their slopes
 IDLE = 0.25  # part of the way to a limit, beyond which costly units need no slopes
-_REACHED = 0.9  # of the way to a limit, within which no costly unit is solved on its account
 _SEEN = 6  # units beyond a limit at the target, among the first few that are solved; their number doubles
 _MET, _MISSED = 0.02, 2.5e-3  # probability of what few units show at the target, above which they decide nothing
 _REMEMBERED = 8  # sets of half-widths whose values are kept, because they are often evaluated again
@@ -83,6 +82,7 @@ class Training:
         self.lanes = min(samples, max(_FEWEST_LANES, samples // _LANES_PART, _LANES_OF_A_FIELD * len(fields)))
         self._slopes: dict[int, tuple[np.ndarray, np.ndarray]] = {}  # where they were computed, and of s^power
         self._pulls: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}  # units, parts and norms of each slope
+        self.wrong = WRONG  # costly units expected on the wrong side of a limit, at most
         self.followed: Followed | None = None
         """Its units where they are costly; the others are all solved at every set of half-widths."""
         if followable(response, requirements):
@@ -117,10 +117,22 @@ class Training:
         few = np.arange(min(_MEASURED, self.samples))
         return self._rows(self.followed.some_at(self.with_half_widths(nothing), few))
 
-    def aimed(self, requirements: dict[str, Limits]) -> Self:
-        """The same units for other targets of the same limits."""
-        other = copy.copy(self)
-        other.requirements, other._seen, other._slopes, other._pulls = requirements, {}, {}, {}
+    def aimed(self, requirements: dict[str, Limits], half_widths: np.ndarray, wrong: float) -> Self:
+        """The same costly units for other targets of the same limits.
+
+        A slope counts on: it has changed as the way to the limit has.
+
+        Args:
+            requirements: with the other targets.
+            half_widths: (j,) from which a search goes on.
+            wrong: units expected on the wrong side of a limit, at most.
+        """
+        other, values = copy.copy(self), self.values(half_widths)
+        other.requirements, other.wrong, other._seen, other._slopes, other._pulls = requirements, wrong, {}, {}, {}
+        before, now = (of._margins(values, {}) + self.distance for of in (self, other))
+        for k, (place, known) in self._slopes.items():
+            if before[k] > 0 and now[k] > 0:
+                other._slopes[k] = place, known * (now[k] / before[k]) ** self.powers[k]
         return other
 
     def with_half_widths(self, half_widths: np.ndarray) -> Population:
@@ -219,7 +231,7 @@ class Training:
         population, rows = self.with_half_widths(half_widths), []
         if self.followed is not None:
             before = self.followed.solved
-            by_name, _ = self.followed.at(population, self._aims)
+            by_name, _ = self.followed.at(population, self._aims, self.wrong)
             self.evaluated[0] += self.followed.solved - before
             return self._remembered(asked, self._rows(by_name))
         self.evaluated[0] += self.samples
@@ -244,7 +256,7 @@ class Training:
             found[name] = [
                 end + sign * level
                 for level in levels
-                if np.isfinite(level) and 1 + level / distance > _REACHED * (1 - moved)
+                if np.isfinite(level) and 1 + level / distance > REACHED * (1 - moved)
                 for end, sign in ((item.upper, 1.0), (item.lower, -1.0))
                 if np.isfinite(end)
             ]

@@ -101,6 +101,7 @@ class Search:
         self.audited = False  # they have not
         coarse = 1.0 if training.followed is None else _COARSE
         self.settled, self.gain = coarse * SETTLED, coarse * GAIN
+        self.near = 0.0 if training.followed is None else RADIUS  # a step that promises little is left out
         beyond = min(training.samples * (1 - getattr(r, "target", 0.0)) for r in training.requirements.values())
         self.doubt = math.sqrt(max(1.0, _MANY / max(beyond, _FEWEST)))  # few units beyond a limit give poor slopes
 
@@ -176,9 +177,12 @@ class Search:
             step = float(np.abs(np.log(wanted / best.half_widths)).max())
             excess = self.excess(best.margins)
             met = excess <= self.settled
-            if radius < self.settled or (met and step < self.settled):
+            penalty = np.maximum(self.cost(best.half_widths) / distance, 2 * prices)
+            promised = self._merit(best, penalty) - self.cost(wanted)
+            little = step < min(radius, self.near) and promised < self.gain * self.cost(best.half_widths)
+            if radius < self.settled or (met and (step < self.settled or little)):
                 return best, excess <= NOISE
-            new, penalty = self.look(wanted), np.maximum(self.cost(best.half_widths) / distance, 2 * prices)
+            new = self.look(wanted)
             gain = self._merit(best, penalty) - self._merit(new, penalty)
             if gain <= 0:
                 radius = step / 3
