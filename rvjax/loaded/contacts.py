@@ -3,8 +3,8 @@
 Arrays have the batch axis (independent cases) last; a leaf of the system that all cases share has length 1 there.
 """
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +19,7 @@ class Pressed(NamedTuple):
 
     depth: jax.Array  # m
     force: jax.Array  # N
-    slope: jax.Array | None = None  # N/m, rise of the force with the depth; None: that of the contact law
+    slope: jax.Array  # N/m, rise of the force with the depth
 
 
 class Held(NamedTuple):
@@ -46,13 +46,8 @@ def contacts(layout: Layout, s: System, q: jax.Array) -> Contacts:
         s: the system, batch axis last.
         q: (n, l).
     """
-    depth = depths(layout, s, q)
-    joint_depth, w = displaced(s, q)
-    return Contacts(
-        pins=Pressed(depth, laws.force(layout.law, depth, s.pins.compliance[None], s.pins.level)),
-        joints=Pressed(joint_depth, joint_forces(layout, s, joint_depth)),
-        bearings=held(w, s.bearings),
-    )
+    pins, (joints, w) = depths(layout, s, q), displaced(s, q)
+    return Contacts(pressed_pins(layout, s, pins), pressed_joints(layout, s, joints), held(w, s.bearings))
 
 
 def depths(layout: Layout, s: System, q: jax.Array, gaps: bool = True) -> jax.Array:
@@ -105,30 +100,49 @@ def held(w: jax.Array, bearings: Bearings) -> Held:
     )
 
 
-def joint_forces(layout: Layout, s: System, depth: jax.Array) -> jax.Array:
-    """Forces of the joints (j, l) at their depths (j, l)."""
-    return _by_group(layout, s, laws.force, depth)
+def pressed_pins(layout: Layout, s: System, depth: jax.Array) -> Pressed:
+    """Pins at their depths (d, p, l), by the contact law."""
+    force = laws.force(layout.law, depth, s.pins.compliance[None], s.pins.level)
+    return Pressed(depth, force, laws.slope(layout.law, depth, force, s.pins.compliance[None]))
 
 
-def joint_slopes(layout: Layout, s: System, depth: jax.Array, force: jax.Array) -> jax.Array:
-    """Rise of the forces of the joints with their depths, (j, l)."""
-    return _by_group(layout, s, lambda law, d, f, k, _: laws.slope(law, d, f, k), depth, force)
+def pressed_joints(layout: Layout, s: System, depth: jax.Array) -> Pressed:
+    """Joints at their depths (j, l), each by the contact law of its group."""
+    forces, slopes = [], []
+    for law, part, compliance, level in _groups(layout, s):
+        forces.append(laws.force(law, depth[part], compliance, level))
+        slopes.append(laws.slope(law, depth[part], forces[-1], compliance))
+    return Pressed(depth, _joined(forces), _joined(slopes))
 
 
 def typical_joint_slopes(layout: Layout, s: System) -> jax.Array:
     """Slopes (j, l) where half of the joints carries the load, with the mean of their levers."""
-    force = jnp.abs(s.load) / (jnp.sum(jnp.abs(s.joints.lever), axis=0) / 2)
-    return _by_group(layout, s, laws.typical_slope, force[None])
+    force = (jnp.abs(s.load) / (jnp.sum(jnp.abs(s.joints.lever), axis=0) / 2))[None]
+    return _joined([laws.typical_slope(law, force, k, level) for law, _, k, level in _groups(layout, s)])
 
 
-def _by_group(layout: Layout, s: System, of: Callable[..., jax.Array], *values: jax.Array) -> jax.Array:
-    """of(contact law, *values, compliance, level) of each group of joints, (j, l)."""
-    found = []
+def limited(layout: Layout, s: System, pins: jax.Array, joints: jax.Array) -> list[tuple[jax.Array, jax.Array]]:
+    """Largest depths of the hertz contact law, each with the values of these pins or joints.
+
+    Args:
+        layout: counts and methods.
+        s: the system, batch axis last.
+        pins: any values of the pins (d, p, l).
+        joints: any values of the joints (j, l).
+    """
+    found = [(laws.largest_depth(s.pins.compliance[None], s.pins.level), pins)] if layout.law == "hertz" else []
+    hertz = [(part, k, level) for law, part, k, level in _groups(layout, s) if law == "hertz"]
+    return found + [(laws.largest_depth(k, level), joints[part]) for part, k, level in hertz]
+
+
+def _groups(layout: Layout, s: System) -> Iterator[tuple[str, slice, jax.Array, Any]]:
+    """Contact law, place among all joints, compliance and level of each group."""
     for group, part in layout.parts(layout.joints):
-        level = None if s.joints.level is None else s.joints.level[part]
-        given = (value if len(value) == 1 else value[part] for value in values)
-        found.append(of(group.law, *given, s.joints.compliance[part], level))
-    return found[0] if len(found) == 1 else jnp.concatenate(found)
+        yield group.law, part, s.joints.compliance[part], None if s.joints.level is None else s.joints.level[part]
+
+
+def _joined(parts: list[jax.Array]) -> jax.Array:
+    return parts[0] if len(parts) == 1 else jnp.concatenate(parts)
 
 
 def gradient(layout: Layout, s: System, q: jax.Array, at: Contacts | None = None) -> jax.Array:
@@ -152,9 +166,10 @@ def gradient(layout: Layout, s: System, q: jax.Array, at: Contacts | None = None
 def energy(layout: Layout, s: System, q: jax.Array, at: Contacts) -> jax.Array:
     """Energy (l,) J, Eq. 21."""
     pins = folded(laws.energy(layout.law, *at.pins[:2], s.pins.compliance[None]), 0, 1)
-    of_joints = _by_group(layout, s, lambda law, d, f, k, _: laws.energy(law, d, f, k), *at.joints[:2])
+    depth, force, _ = at.joints
+    joints = [laws.energy(law, depth[part], force[part], k) for law, part, k, _ in _groups(layout, s)]
     support = folded(s.support * q * q, 0) / 2 + s.load * q[layout.carried]
-    return pins + folded(at.bearings.energy, 0) + folded(of_joints, 0) + support
+    return pins + folded(at.bearings.energy, 0) + folded(_joined(joints), 0) + support
 
 
 def _moved(rows: jax.Array, q: jax.Array) -> jax.Array:

@@ -14,8 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.batching import folded
-from rvjax.loaded import laws
-from rvjax.loaded.contacts import Contacts, joint_slopes, over_pins
+from rvjax.loaded.contacts import Contacts, over_pins
 from rvjax.loaded.elimination import Hessian
 from rvjax.loaded.system import Group, Layout, System
 
@@ -85,17 +84,14 @@ def hessian(layout: Layout, s: System, at: Contacts, at_rest: Frame | None = Non
         at_rest: `frame(layout, s)`, where it is known.
     """
     rows = frame(layout, s) if at_rest is None else at_rest
-    slope = at.pins.slope
-    if slope is None:
-        slope = laws.slope(layout.law, at.pins.depth, at.pins.force, s.pins.compliance[None])
     found = defaultdict[str, list[jax.Array]](list)
-    for touch, stiff in _groups(layout, s, at, rows):
+    for touch, stiff in _groups(layout, at, rows):
         for name, block in _blocks(touch, stiff):
             found[name].append(block)
     centring = _DIAGONAL.astype(s.centring.dtype)[:, None, None] * s.centring[None, None]
     near = [_sum(found[name]) for name in ("disc link", "disc common") if name in found]
     return Hessian(
-        disc=over_pins(rows.pins, slope) + _sum(found["disc"]) + centring,
+        disc=over_pins(rows.pins, at.pins.slope) + _sum(found["disc"]) + centring,
         bridge=near[0] if len(near) == 1 else jnp.concatenate(near, axis=2),
         border=_border(layout, s, found),
     )
@@ -104,14 +100,12 @@ def hessian(layout: Layout, s: System, at: Contacts, at_rest: Frame | None = Non
 _Stiff = Callable[[jax.Array], jax.Array]
 
 
-def _groups(layout: Layout, s: System, at: Contacts, rows: Frame) -> Iterator[tuple[Touch, _Stiff]]:
+def _groups(layout: Layout, at: Contacts, rows: Frame) -> Iterator[tuple[Touch, _Stiff]]:
     """Rows of each group, and the function that multiplies such rows by the stiffness of its contacts."""
     for (group, part), touch in zip(layout.parts(layout.bearings), rows.bearings):
         stiffness = at.bearings.stiffness[:, part]
         yield touch, functools.partial(_sprung, stiffness.reshape(3, 1, *layout.places(group), stiffness.shape[-1]))
     slope = at.joints.slope
-    if slope is None:
-        slope = joint_slopes(layout, s, at.joints.depth, at.joints.force)
     for (group, part), touch in zip(layout.parts(layout.joints), rows.joints):
         each = slope[part].reshape(*layout.places(group), group.each, slope.shape[-1])
         yield touch, functools.partial(operator.mul, jnp.moveaxis(each, 2, 0)[:, None])

@@ -14,13 +14,11 @@ linear system each contact is a spring of finite stiffness. Arrays have the batc
 
 import functools
 import operator
-from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from rvjax.loaded import laws
 from rvjax.loaded.contacts import (
     Contacts,
     Held,
@@ -28,8 +26,9 @@ from rvjax.loaded.contacts import (
     depths,
     displaced,
     gradient,
-    joint_forces,
-    joint_slopes,
+    limited,
+    pressed_joints,
+    pressed_pins,
     typical_joint_slopes,
 )
 from rvjax.loaded.elimination import solve
@@ -93,7 +92,7 @@ def approach(layout: Layout, s: System, wanted: jax.Array) -> tuple[jax.Array, j
         going = loop.open & (mu > _CLOSED * eps * first) & (loop.steps < STEPS)
         goal = mu * jnp.where(loop.share > 0.9, 0.1, jnp.where(loop.share > 0.5, 0.3, 0.5))
 
-        of_pins, of_joints = _laws(layout, s, at.pins.s, at.joints.s)
+        of_pins, of_joints = pressed_pins(layout, s, at.pins.s), pressed_joints(layout, s, at.joints.s)
         cone = _cone(s, free, goal, reach, at.force, inside)
         closing = Contacts(
             _closing(at.pins, pins, of_pins, goal), _closing(at.joints, joints, of_joints, goal), cone.held
@@ -111,7 +110,8 @@ def approach(layout: Layout, s: System, wanted: jax.Array) -> tuple[jax.Array, j
         most = [*_room(at.pins, pins, step.pins, dpins), *_room(at.joints, joints, step.joints, djoints)]
         for vector, change in ((reach, (step.reach, dw[:, 0], dw[:, 1])), (at.force, step.force)):
             most.append(jnp.min(jnp.where(free, _leaves(vector, change), jnp.inf), axis=0))
-        most += [_until(limit - of(at), -of(step)) for limit, of in _limits(layout, s)]
+        limits, changes = (limited(layout, s, x.pins.s, x.joints.s) for x in (at, step))
+        most += [_until(limit - now, -change) for (limit, now), (_, change) in zip(limits, changes)]
         share = jnp.minimum(1, _SHARE * jnp.min(jnp.stack(most), axis=0))
         moved = jax.tree.map(
             lambda old, change: jnp.where(_like(going, old), old + _like(share, old) * change, old), at, step
@@ -132,40 +132,24 @@ def _begin(layout: Layout, s: System, lanes: int) -> _Point:
     wide = jnp.abs(s.load) / stiffest
     for gap in (pins, joints, w, s.bearings.clearance):
         wide = jnp.maximum(wide, jnp.max(jnp.abs(gap), axis=tuple(range(gap.ndim - 1))))
-    for limit, _ in _limits(layout, s):
+    for limit, _ in limited(layout, s, pins, joints):
         wide = jnp.minimum(wide, jnp.min(limit, axis=tuple(range(limit.ndim - 1))) / 4)
     reach = jnp.maximum(jnp.sqrt(w[:, 0] * w[:, 0] + w[:, 1] * w[:, 1]), s.bearings.clearance) + wide[None]
     axial = s.bearings.stiffness * (reach - s.bearings.clearance)
     pins, joints = (jnp.maximum(depth, 0) + _like(wide, depth) for depth in (pins, joints))
-    of_pins, of_joints = _laws(layout, s, pins, joints)
-    none = jnp.zeros_like(axial)
-    return _Point(q, _Spring(pins, of_pins.force), _Spring(joints, of_joints.force), reach, (axial, none, none))
+    of_pins, of_joints = pressed_pins(layout, s, pins).force, pressed_joints(layout, s, joints).force
+    force = (axial, jnp.zeros_like(axial), jnp.zeros_like(axial))
+    return _Point(q, _Spring(pins, of_pins), _Spring(joints, of_joints), reach, force)
 
 
-class _Law(NamedTuple):
-    """Of the springs at their compression."""
-
-    force: jax.Array
-    slope: jax.Array
-
-
-def _laws(layout: Layout, s: System, pins: jax.Array, joints: jax.Array) -> tuple[_Law, _Law]:
-    """Of pins and joints at some compressions."""
-    force = laws.force(layout.law, pins, s.pins.compliance[None], s.pins.level)
-    slope = laws.slope(layout.law, pins, force, s.pins.compliance[None])
-    of_joints = joint_forces(layout, s, joints)
-    return _Law(force, slope), _Law(of_joints, joint_slopes(layout, s, joints, of_joints))
-
-
-def _closing(spring: _Spring, depth: jax.Array, law: _Law, goal: jax.Array) -> Pressed:
+def _closing(spring: _Spring, depth: jax.Array, law: Pressed, goal: jax.Array) -> Pressed:
     """The force that closes f z = goal along the contact law, and its slope in the depth."""
     room = spring.s - depth + spring.f / law.slope
     return Pressed(depth, (_like(goal, depth) + spring.f * law.force / law.slope) / room, spring.f / room)
 
 
-def _change(spring: _Spring, closing: Pressed, law: _Law, depth: jax.Array) -> _Spring:
+def _change(spring: _Spring, closing: Pressed, law: Pressed, depth: jax.Array) -> _Spring:
     """Step of pins or joints whose depths change by `depth`."""
-    assert closing.slope is not None
     change = closing.force + closing.slope * depth - spring.f
     return _Spring((change + spring.f - law.force) / law.slope, change)
 
@@ -174,20 +158,6 @@ def _room(spring: _Spring, depth: jax.Array, step: _Spring, change: jax.Array) -
     """Shares of a step at which a force, a gap or a compression vanishes."""
     z = spring.s - depth
     return [_until(spring.f, step.f), _until(z, step.s - change), _until(spring.s, step.s)]
-
-
-def _limits(layout: Layout, s: System) -> Iterator[tuple[jax.Array, Callable[[_Point], jax.Array]]]:
-    """Largest compressions of the hertz contact law, each with the function that takes theirs from a point."""
-    if layout.law == "hertz":
-        yield laws.largest_depth(s.pins.compliance[None], s.pins.level), lambda at: at.pins.s
-    for group, part in layout.parts(layout.joints):
-        if group.law == "hertz":
-            limit = laws.largest_depth(s.joints.compliance[part], s.joints.level[part])
-            yield limit, functools.partial(_compressed, part)
-
-
-def _compressed(part: slice, at: _Point) -> jax.Array:
-    return at.joints.s[part]
 
 
 class _Cone(NamedTuple):

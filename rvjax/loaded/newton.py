@@ -28,12 +28,13 @@ from rvjax.loaded.contacts import (
     energy,
     gradient,
     held,
-    joint_forces,
-    joint_slopes,
+    limited,
+    pressed_joints,
+    pressed_pins,
     typical_joint_slopes,
 )
 from rvjax.loaded.elimination import solve
-from rvjax.loaded.hessian import frame, hessian
+from rvjax.loaded.hessian import Frame, frame, hessian
 from rvjax.loaded.interior import approach
 from rvjax.loaded.system import Layout, System
 from rvjax.loaded.watchdog import Merit, State, begun, decided, onward, unpacked
@@ -79,13 +80,6 @@ class _Block(NamedTuple):
     found: Found  # cases first
 
 
-class _Problem(NamedTuple):
-    """The cases; leaves (cases or 1, ...)."""
-
-    system: System
-    start: jax.Array
-
-
 def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
     """The minimum of the energy of every case; leaves of the result have the cases first.
 
@@ -97,7 +91,7 @@ def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
     cases = max(len(leaf) for leaf in jax.tree.leaves((system, start)))
     if layout.law != "linear":
         system = _working_first(system)
-    one_round = functools.partial(_round, layout, _Problem(system, start))
+    one_round = functools.partial(_round, layout, system, start)
 
     def goes_on(tour: _Tour) -> jax.Array:
         return (tour.number == 0) | ((tour.number == 1) & jnp.any(tour.queued))
@@ -118,7 +112,7 @@ def _working_first(s: System) -> System:
     return s._replace(pins=pins._replace(rows=rows, gap=jnp.take_along_axis(pins.gap, order, axis=-1), level=level))
 
 
-def _round(layout: Layout, problem: _Problem, tour: _Tour) -> _Tour:
+def _round(layout: Layout, system: System, start: jax.Array, tour: _Tour) -> _Tour:
     """Every case of the queue, as many at a time as a block has places."""
     cases = len(tour.queued)
     width = min(cases, BLOCK)
@@ -128,7 +122,7 @@ def _round(layout: Layout, problem: _Problem, tour: _Tour) -> _Tour:
     def seated(turn: jax.Array, empty: jax.Array) -> tuple[jax.Array, System, State]:
         """Case at each place (`cases` for none), its system, and the state in which it begins."""
         index = queue.at[turn].get(mode="fill", fill_value=cases)
-        part, begin, steps = take((*problem, tour.found.steps), jnp.minimum(index, cases - 1))
+        part, begin, steps = take((system, start, tour.found.steps), jnp.minimum(index, cases - 1))
         gap = jnp.broadcast_to(part.pins.gap, (*part.pins.gap.shape[:-1], width))
         part = part._replace(pins=part.pins._replace(gap=gap))
         taken = turn < many
@@ -178,116 +172,100 @@ def _found(state: State) -> Found:
     return Found(state.q, counts.steps, *reached, *end)
 
 
-class _Rule(NamedTuple):
-    """Limits of a block, by which its points are accepted."""
+class _Shared(NamedTuple):
+    """What all steps of a block share."""
 
-    limit: jax.Array  # () steps at most
-    slack: jax.Array  # () factor on the largest gradient of a minimum
+    layout: Layout
+    s: System
+    at_rest: Frame
+    pins: jax.Array  # (d, p, l) slopes of the linear start: of contacts that a torque of this sign closes, else 0
+    joints: jax.Array  # (j, l)
     stiffest: jax.Array  # (l,) of all springs, N/m
     widest: jax.Array  # (l,) of all gaps, m
+    slack: jax.Array  # () factor on the largest gradient of a minimum
 
 
-class _Cold(NamedTuple):
-    """The linear start: slopes of the contacts that a torque of this sign closes, 0 of all others."""
-
-    pins: jax.Array  # (d, p, l)
-    joints: jax.Array  # (j, l)
+def _shared(layout: Layout, s: System, again: jax.Array) -> _Shared:
+    """Linear slopes are those at the mean force of the working contacts, half of all, with the mean of their levers."""
+    pins, joints = s.pins, typical_joint_slopes(layout, s)
+    force = jnp.abs(s.load) / (jnp.sum(jnp.abs(pins.rows[2]), axis=(0, 1)) / 2)
+    typical = laws.typical_slope(layout.law, force[None, None], pins.compliance[None], pins.level)
+    return _Shared(
+        layout,
+        s,
+        at_rest=frame(layout, s),
+        pins=jnp.where((pins.rows[2] < 0) == (s.load > 0)[None, None], typical, 0),
+        joints=jnp.where((s.joints.lever < 0) == (s.load > 0)[None], joints, 0),
+        stiffest=_most(s.bearings.stiffness, joints),
+        widest=_most(pins.gap, s.joints.gap, s.bearings.gap),
+        # A body sums up to some ten contacts, each with its rounding: a case above that after 80 steps stays there.
+        slack=jnp.where(again, 8.0, 1.0).astype(pins.gap.dtype),
+    )
 
 
 def _iterate(layout: Layout, s: System, state: State, leave: jax.Array, again: jax.Array) -> State:
     """Steps of all open cases until no more than `leave` are open; `again`: in the second round."""
-    typical = typical_joint_slopes(layout, s)
-    rule = _Rule(
-        limit=jnp.where(again, MAX_STEPS, _DIRECT),
-        # A body sums up to some ten contacts, each with its rounding: a case above that after 80 steps stays there.
-        slack=jnp.where(again, 8.0, 1.0).astype(state.q.dtype),
-        stiffest=_most(s.bearings.stiffness, typical),
-        widest=_most(s.pins.gap, s.joints.gap, s.bearings.gap),
-    )
-    started = _cold(layout, s, typical)
-    at_rest = frame(layout, s)
+    limit, of = jnp.where(again, MAX_STEPS, _DIRECT), _shared(layout, s, again)
 
     def body(state: State) -> State:
         q, cold = state.q, state.cold
-        pins = stored(functools.partial(_pressed, layout, s, started), q, cold)
-        joints, bearings = stored(functools.partial(_joined, layout, s, started), q, cold)
+        pins = stored(functools.partial(_pressed, of), q, cold)
+        joints, bearings = stored(functools.partial(_jointed, of), q, cold)
         at = Contacts(pins, joints, bearings)
         g = stored(lambda q, at: gradient(layout, s, q, at), q, at)
-        square = stored(lambda at, at_rest: hessian(layout, s, at, at_rest), at, at_rest)
+        square = stored(lambda at, at_rest: hessian(layout, s, at, at_rest), at, of.at_rest)
         newton = stored(lambda square, g: -solve(layout, square, g), square, g)
-        merit = stored(functools.partial(_merit, layout, s, rule), q, state.step, cold, at, g, newton)
-        numbers, integers = stored(decided, state.numbers, state.integers, merit, rule.limit)
+        merit = stored(functools.partial(_merit, of), q, state.step, cold, at, g, newton)
+        numbers, integers = stored(decided, state.numbers, state.integers, merit, limit)
         q, best, step = stored(onward, state, newton, numbers, integers)
         return State(q, best, step, numbers, integers)
 
     return jax.lax.while_loop(lambda state: jnp.sum(state.open, dtype=leave.dtype) > leave, body, state)
 
 
-def _cold(layout: Layout, s: System, typical: jax.Array) -> _Cold:
-    """Slopes for the mean force of the working contacts, one half of all, with the mean of their levers."""
-    lever = jnp.sum(jnp.abs(s.pins.rows[2]), axis=(0, 1)) / 2
-    force = (jnp.abs(s.load) / lever)[None, None]
-    of_pins = laws.typical_slope(layout.law, force, s.pins.compliance[None], s.pins.level)
-    return _Cold(
-        pins=jnp.where((s.pins.rows[2] < 0) == (s.load > 0)[None, None], of_pins, 0),
-        joints=jnp.where((s.joints.lever < 0) == (s.load > 0)[None], typical, 0),
-    )
-
-
-def _pressed(layout: Layout, s: System, started: _Cold, q: jax.Array, cold: jax.Array) -> Pressed:
+def _pressed(of: _Shared, q: jax.Array, cold: jax.Array) -> Pressed:
     """The pins; those that the torque does not press are rarely pressed at all."""
-
-    def law(depth: jax.Array, level: jax.Array | None) -> tuple[jax.Array, jax.Array]:
-        force = laws.force(layout.law, depth, s.pins.compliance[None], level)
-        return force, laws.slope(layout.law, depth, force, s.pins.compliance[None])
-
+    layout, s, half = of.layout, of.s, of.layout.pins // 2 + 1
     depth = depths(layout, s, q)
     if layout.law == "linear":
-        force, slope = law(depth, None)
-    else:
-        half = layout.pins // 2 + 1
-        level = depth if s.pins.level is None else s.pins.level  # read by the hertz contact law only
-        near = stored(law, depth[:, :half], level[:, :half])
-        far = jax.lax.cond(
-            jnp.any(depth[:, half:] > 0),
-            law,
-            lambda depth, _: (jnp.zeros_like(depth), jnp.zeros_like(depth)),
-            *(depth[:, half:], level[:, half:]),
-        )
-        force, slope = (jnp.concatenate(both, axis=1) for both in zip(near, far))
-    return _linear(depth, force, slope, started.pins, cold[None, None])
+        return _started(pressed_pins(layout, s, depth), of.pins, cold[None, None])
+
+    def law(depth: jax.Array, level: jax.Array) -> tuple[jax.Array, jax.Array]:
+        _, force, slope = pressed_pins(layout, s._replace(pins=s.pins._replace(level=level)), depth)
+        return force, slope
+
+    level = depth if s.pins.level is None else s.pins.level  # read by the hertz contact law only
+    near = stored(law, depth[:, :half], level[:, :half])
+    far = jax.lax.cond(
+        jnp.any(depth[:, half:] > 0),
+        law,
+        lambda depth, _: (jnp.zeros_like(depth), jnp.zeros_like(depth)),
+        *(depth[:, half:], level[:, half:]),
+    )
+    force, slope = (jnp.concatenate(both, axis=1) for both in zip(near, far))
+    return _started(Pressed(depth, force, slope), of.pins, cold[None, None])
 
 
-def _joined(layout: Layout, s: System, started: _Cold, q: jax.Array, cold: jax.Array) -> tuple[Pressed, Held]:
-    """The joints and the bearings."""
-    depth, w = displaced(s, q)
-    force = joint_forces(layout, s, depth)
-    slope = joint_slopes(layout, s, depth, force)
-    shut = s.bearings._replace(clearance=jnp.where(cold, 0, s.bearings.clearance))
-    return _linear(depth, force, slope, started.joints, cold[None]), held(w, shut)
+def _jointed(of: _Shared, q: jax.Array, cold: jax.Array) -> tuple[Pressed, Held]:
+    """The joints, and the bearings, before the linear step without clearance."""
+    depth, w = displaced(of.s, q)
+    shut = of.s.bearings._replace(clearance=jnp.where(cold, 0, of.s.bearings.clearance))
+    return _started(pressed_joints(of.layout, of.s, depth), of.joints, cold[None]), held(w, shut)
 
 
-def _linear(depth: jax.Array, force: jax.Array, slope: jax.Array, started: jax.Array, cold: jax.Array) -> Pressed:
-    """Contacts, linear with the slopes `started` where a case is `cold`, before the linear step."""
-    return Pressed(depth, jnp.where(cold, started * depth, force), jnp.where(cold, started, slope))
+def _started(at: Pressed, slope: jax.Array, cold: jax.Array) -> Pressed:
+    """Contacts, linear with the given slopes in a case before its linear step."""
+    return Pressed(at.depth, jnp.where(cold, slope * at.depth, at.force), jnp.where(cold, slope, at.slope))
 
 
 def _merit(
-    layout: Layout,
-    s: System,
-    rule: _Rule,
-    q: jax.Array,
-    step: jax.Array,
-    cold: jax.Array,
-    at: Contacts,
-    g: jax.Array,
-    newton: jax.Array,
+    of: _Shared, q: jax.Array, step: jax.Array, cold: jax.Array, at: Contacts, g: jax.Array, newton: jax.Array
 ) -> Merit:
-    value = energy(layout, s, q, at)
+    value, eps = energy(of.layout, of.s, q, at), float(jnp.finfo(q.dtype).eps)
     size, miss = _most(at.pins.force, at.joints.force, at.bearings.force), _most(g)
-    eps = float(jnp.finfo(q.dtype).eps)
-    rounding = 2 * eps * (rule.stiffest * jnp.maximum(rule.widest, _most(q)))
-    on_discs = [at.joints.force[part] for group, part in layout.parts(layout.joints) if group.discs]
+    rounding = 2 * eps * (of.stiffest * jnp.maximum(of.widest, _most(q)))
+    on_discs = [at.joints.force[part] for group, part in of.layout.parts(of.layout.joints) if group.discs]
+    over = [_any(depth >= limit) for limit, depth in limited(of.layout, of.s, at.pins.depth, at.joints.depth)]
     return Merit(
         energy=value,
         miss=miss,
@@ -295,22 +273,10 @@ def _merit(
         largest=_most(at.pins.force, *on_discs),
         along=folded(step * g, 0),
         slope=folded(newton * g, 0),
-        small=miss <= rule.slack * jnp.maximum(max(1e-13, 32 * eps) * size, rounding),
+        small=miss <= of.slack * jnp.maximum(max(1e-13, 32 * eps) * size, rounding),
         fine=jnp.isfinite(value) & folded(jnp.isfinite(newton), 0, by=jnp.logical_and),
-        over=_overloaded(layout, s, at) & ~cold,
+        over=functools.reduce(jnp.logical_or, over) & ~cold if over else jnp.zeros_like(cold),
     )
-
-
-def _overloaded(layout: Layout, s: System, at: Contacts) -> jax.Array:
-    """True for an element with a pin or joint beyond the end of the hertz contact law."""
-    over = jnp.zeros(at.pins.depth.shape[-1:], bool)
-    if layout.law == "hertz":
-        over |= _any(at.pins.depth >= laws.largest_depth(s.pins.compliance[None], s.pins.level))
-    for group, part in layout.parts(layout.joints):
-        if group.law == "hertz":
-            limit = laws.largest_depth(s.joints.compliance[part], s.joints.level[part])
-            over |= _any(at.joints.depth[part] >= limit)
-    return over
 
 
 def _any(marks: jax.Array) -> jax.Array:
