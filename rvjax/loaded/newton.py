@@ -173,7 +173,7 @@ def _found(state: State) -> Found:
 
 
 class _Shared(NamedTuple):
-    """What all steps of a block share."""
+    """Numbers that all steps of a block share."""
 
     layout: Layout
     s: System
