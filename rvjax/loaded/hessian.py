@@ -157,6 +157,7 @@ def _border(layout: Layout, s: System, found: Mapping[str, list[jax.Array]]) -> 
 
 def _outer(left: jax.Array, right: jax.Array) -> jax.Array:
     """Sum over the first axis of left (h, v, ..., l) times right (h, w, ..., l): (v, w, ..., l)."""
+    # Not `folded`: it takes the same time with hertz pins, but a step with linear ones twice as long.
     return _sum([a[:, None] * b[None] for a, b in zip(left, right)])
 
 

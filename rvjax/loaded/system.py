@@ -30,8 +30,8 @@ class Layout(NamedTuple):
     law: str  # of the pins
     links: int
     common: tuple[int, ...]  # unknowns of each common body
-    joints: tuple[Group, ...]
-    bearings: tuple[Group, ...]
+    joints: tuple[Group, ...]  # one or more
+    bearings: tuple[Group, ...]  # one or more
 
     @property
     def inner(self) -> int:
