@@ -16,7 +16,7 @@ from rvjax.catalogue import CORR, RV_40E, RV_320E
 from rvjax.designs import Contact, CrankStage, CycloidStage, InvoluteStage
 from rvjax.geometry import contact_ratio, least_convex_radius
 from rvjax.loaded.cases import MACHINE
-from rvjax.loaded.gaps import flank_rounding, gaps
+from rvjax.loaded.gaps import flank_rounding, pin_depths
 from rvjax.loaded.geometry import Turn, geometry as geometry_at
 from rvjax.status import Status
 from rvjax.units import MPa, mm
@@ -314,7 +314,7 @@ def test_a_profile_modification_is_material_of_every_disc():
     @jax.jit
     def pins(design, own):
         e = jnp.asarray(MACHINE.cycloid.eccentricity)
-        return gaps(design, own, geometry_at(MACHINE, e, jnp.asarray(0.3)), e, jnp.ones((2, 2, 2))).pins
+        return pin_depths(design.cycloid, own, geometry_at(MACHINE.cycloid, e, jnp.asarray(0.3 / MACHINE.ratio)))
 
     due, found = (pins(d, own) for d, own in zip((MACHINE, designed), errors))
     np.testing.assert_allclose(found, due, rtol=1e-12, atol=1e-18)

@@ -75,7 +75,7 @@ def test_the_orders_of_forces_that_are_told(monkeypatch):
         shape = len(angles), 1
         info = SolveInfo(jnp.zeros(shape, jnp.int32), jnp.ones(shape, jnp.int32), jnp.zeros(shape))
         return BearingForces(
-            jnp.broadcast_to(force, (*shape, layout.discs, layout.cranks, 2)), force[:, :, 0], info, None
+            jnp.broadcast_to(force, (*shape, layout.discs, layout.links, 2)), force[:, :, 0], info, None
         )
 
     monkeypatch.setattr(causes, "bearing_forces", told)

@@ -199,8 +199,8 @@ def told(layout, read, torques, angles, start, *, near):
     """Forces that are the same at every angle: the torque over the circle of the cranks, and what interference adds."""
     size = torques / read.design.cranks.circle_radius + LEFT
     force = jnp.stack([size, 0 * size], axis=-1)[None, :, None, :]
-    many, supports = (len(angles), len(torques)), (len(angles), len(torques), layout.cranks, 2)
-    arm = jnp.broadcast_to(force[:, :, None], (*many, layout.discs, layout.cranks, 2))
+    many, supports = (len(angles), len(torques)), (len(angles), len(torques), layout.links, 2)
+    arm = jnp.broadcast_to(force[:, :, None], (*many, layout.discs, layout.links, 2))
     status = jnp.broadcast_to(jnp.where(torques > MOST, int(Status.CONTACT_OVERLOAD), 0).astype(jnp.int32), many)
     info = SolveInfo(status, jnp.ones(many, jnp.int32), jnp.zeros(many))
     return BearingForces(arm, jnp.broadcast_to(force, supports), info, start)

@@ -9,8 +9,9 @@ import pytest
 from loaded_cases import NAMED, assert_same, at, design_of, errors_of, solve, supported
 
 from rvjax import Status, loaded
-from rvjax.loaded.equilibrium import outcome, prepare, solve as solve_from
-from rvjax.loaded.inputs import admit, check_input
+from rvjax.loaded.case import solve as solve_from
+from rvjax.loaded.equilibrium import outcome
+from rvjax.loaded.kinds import admit, check_input, prepare
 
 CASE = NAMED["rv40: all errors, rated, hertz"]
 DESIGN = design_of(CASE)

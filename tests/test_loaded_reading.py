@@ -24,8 +24,8 @@ from loaded_turns import (
 
 import rvjax
 from rvjax import Status, loaded
-from rvjax.loaded.equilibrium import prepare
-from rvjax.loaded.inputs import admit, check_input, pin_compliance
+from rvjax.loaded.kinds import admit, check_input, prepare
+from rvjax.loaded.rv import pin_compliance
 from rvjax.published.rv160_reducer import MACHINE, NONE
 from rvjax.units import arcsec, mm
 
@@ -211,7 +211,7 @@ def levels(design, errors):
     """Coefficient and levels of the hertz contact law, (1,) and (2, 40)."""
     layout = check_input(design, errors, "hertz", "fixed", "fixed")
     system = prepare(layout, admit(layout, design, errors, 900.0, 3.7), jnp.asarray(3.7)).system
-    return system.compliance, system.level
+    return system.pins.compliance, system.pins.level
 
 
 def test_equal_supports_are_one_support():

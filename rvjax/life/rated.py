@@ -215,7 +215,7 @@ def _missing(plan: Plan, given: Given, x: jax.Array, start: jax.Array) -> Evalua
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _solve(plan: Plan, given: Given) -> Root:
     """ln torque, displacements there, and how it was found."""
-    cranks, discs = plan.layout.cranks, plan.layout.discs
+    cranks, discs = given.design.counts["cranks"], given.design.counts["discs"]
     first = ratings(given.bearings.arm).dynamic * given.design.cranks.circle_radius * cranks * discs / 5
     cold = jnp.full((plan.samples, 1, plan.layout.unknowns), jnp.nan, first.dtype)
     return largest_root(lambda x, start: _missing(plan, given, x, start), jnp.log(first), cold)

@@ -10,14 +10,9 @@ from rvjax.loaded.clearance import Clearance, clearance
 from rvjax.loaded.encoder import Reading, housing_orders, reading
 from rvjax.loaded.equilibrium import Loaded, equilibrium
 from rvjax.loaded.head import HEAD_PARTS as HEAD_PARTS
-from rvjax.loaded.inputs import (
-    SUPPORTS as SUPPORTS,
-    Read as Read,
-    admit as admit,
-    check_input as check_input,
-    unchecked as unchecked,
-)
+from rvjax.loaded.inputs import SUPPORTS as SUPPORTS, Read as Read, unchecked as unchecked
 from rvjax.loaded.instants import instants as instants
+from rvjax.loaded.kinds import admit as admit, check_input as check_input
 from rvjax.loaded.laws import CONTACTS as CONTACTS
 from rvjax.loaded.revolution import Revolution, revolution, summary as summary
 from rvjax.loaded.sources import turn as turn, turns_of as turns_of

@@ -7,8 +7,9 @@ import jax
 from jax.typing import DTypeLike
 
 from rvjax.loaded.batching import in_blocks, in_lanes
-from rvjax.loaded.contacts import contacts, gradient, hessian
+from rvjax.loaded.contacts import Contacts, contacts, gradient
 from rvjax.loaded.elimination import solve
+from rvjax.loaded.hessian import hessian
 from rvjax.loaded.newton import Found, minimise
 from rvjax.loaded.system import Layout, System
 from rvjax.records import PyTree
@@ -36,13 +37,19 @@ class Forces(NamedTuple):
     """Contact forces of one case, N."""
 
     pins: jax.Array  # (d, p)
-    gear: jax.Array  # (c, 2)
-    bearing: jax.Array  # (b, 2), sign of grad E
+    joints: jax.Array  # (j,)
+    bearings: jax.Array  # (b, 2), sign of grad E
+
+    @classmethod
+    def of(cls, at: Contacts) -> "Forces":
+        """Those of some contacts."""
+        return cls(at.pins.force, at.joints.force, at.bearings.force)
 
     @classmethod
     def shapes(cls, layout: Layout, dtype: DTypeLike) -> PyTree:
         """Shapes of one case."""
-        sizes = (layout.discs, layout.pins), (layout.cranks, 2), (layout.bearings, 2)
+        joints, bearings = layout.contacts(layout.joints), layout.contacts(layout.bearings)
+        sizes = (layout.discs, layout.pins), (joints,), (bearings, 2)
         return cls(*(jax.ShapeDtypeStruct(size, dtype) for size in sizes))  # type: ignore[arg-type]
 
 
@@ -62,15 +69,14 @@ def forces(layout: Layout, system: System, q: jax.Array) -> Forces:
 def _forces_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[Forces, Forces]:
     def of_one(system: System, q: jax.Array) -> Forces:
         at = contacts(layout, jax.tree.map(lambda leaf: leaf[..., None], system), q[:, None])
-        return jax.tree.map(lambda x: x[..., 0], Forces(at.pins, at.gear, at.bearing.force))
+        return jax.tree.map(lambda x: x[..., 0], Forces.of(at))
 
     return forces(layout, *primals), jax.jvp(of_one, primals, tangents)[1]
 
 
 def _forces(layout: Layout, system: System, q: jax.Array) -> Forces:
     def block(part: System, q: jax.Array) -> Forces:
-        at = contacts(layout, part, q)
-        return Forces(at.pins, at.gear, at.bearing.force)
+        return Forces.of(contacts(layout, part, q))
 
     return in_blocks(block, (system, q))
 

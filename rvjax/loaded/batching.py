@@ -45,7 +45,7 @@ def in_lanes(kernel: Kernel, layout: Layout, shapes: Callable[[Layout, Any], PyT
         flags = jax.tree.leaves(batched)
         groups = max(leaf.shape[flag] for leaf, flag in zip(leaves, flags))
         lanes = max(leaf.shape[1 + flag] for leaf, flag in zip(leaves, flags))
-        by_group = batched[0].rows
+        by_group = batched[0].pins.rows
 
         def merge(leaf: jax.Array, of_batch: bool) -> jax.Array:
             if not of_batch and leaf.shape[0 if by_group else 1] == 1:

@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 
 from rvjax.loaded.balance import forces
-from rvjax.loaded.equilibrium import placed, prepare, solve
+from rvjax.loaded.case import placed, solve
 from rvjax.loaded.inputs import Read
+from rvjax.loaded.kinds import named, prepare
 from rvjax.loaded.newton import Found
 from rvjax.loaded.system import Layout
 from rvjax.roots import solved
@@ -77,7 +78,8 @@ def _measure(
     def of_one(torque: jax.Array, found: Found, status: jax.Array) -> tuple[jax.Array, jax.Array]:
         loaded = case.loaded(torque)
         q = placed(layout, loaded, found, status)
-        bearing = jnp.where(status == Status.CONVERGED, forces(layout, loaded.system, q).bearing, 0)
-        return -bearing[: -layout.cranks].reshape(layout.discs, layout.cranks, 2), bearing[-layout.cranks :]
+        of_names = named(layout, read, forces(layout, loaded.system, q))
+        both = of_names.disc_bearing, of_names.support_bearing
+        return jax.tree.map(lambda force: jnp.where(status == Status.CONVERGED, force, 0), both)
 
     return jax.vmap(of_one)(torques, found, status)

@@ -1,7 +1,7 @@
-"""Newton's linear system, eliminated part by part: discs touch cranks only, so that what is dense is small.
+"""Newton's linear system, eliminated body by body: discs touch the border only, so that the dense matrix is small.
 
-Arrays have the batch axis (independent cases) last; arithmetic runs along it. Every part has up to three unknowns and
-is factored as L D L', which stays exact to rounding where a part is held by its centring springs alone.
+Arrays have the batch axis (independent cases) last; arithmetic runs along it. Every body has up to three unknowns and
+is factored as L D L', which stays exact to rounding where a body is held by its centring springs alone.
 """
 
 import functools
@@ -9,20 +9,17 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from rvjax._jax.batching import folded, stored
 from rvjax.loaded.system import Layout
 
 
 class Hessian(NamedTuple):
-    """Second derivatives of the energy, batch axis last; symmetric blocks are full but that of the discs."""
+    """Second derivatives of the energy, batch axis last; discs touch the first `near` of m unknowns of the border."""
 
     disc: jax.Array  # (6, d, l): 00, 10, 11, 20, 21, 22
-    disc_crank: jax.Array  # (3, d, c, 3, l)
-    crank: jax.Array  # (3, 3, c, l)
-    crank_tail: jax.Array  # (c, 3, t, l)
-    tail: jax.Array  # (t, t, l)
+    bridge: jax.Array  # (3, d, near, l)
+    border: jax.Array  # (m, m, l)
 
 
 _Block = list[list[jax.Array]]  # rows of the lower triangle of a small symmetric block
@@ -37,40 +34,34 @@ def solve(layout: Layout, hessian: Hessian, rhs: jax.Array) -> jax.Array:
         hessian: H.
         rhs: (n, l).
     """
-    discs, cranks, lanes = layout.discs, layout.cranks, rhs.shape[-1]
+    discs, near, lanes = layout.discs, layout.near, rhs.shape[-1]
     inner = rhs[: layout.inner].reshape(discs, 3, lanes).transpose(1, 0, 2)  # (3, d, l)
-    right = jnp.concatenate([hessian.disc_crank.reshape(3, discs, 3 * cranks, lanes), inner[:, :, None]], axis=2)
+    right = jnp.concatenate([hessian.bridge, inner[:, :, None]], axis=2)
     inverse = _inverse(_rows(hessian.disc))
-    forward = stored(_forward, _rows(hessian.disc), inverse, right)  # (3, d, 3c + 1, l)
+    forward = stored(_forward, _rows(hessian.disc), inverse, right)  # (3, d, near + 1, l)
 
-    def left_by_discs(forward: jax.Array, inverse: list[jax.Array], hessian: Hessian, rhs: jax.Array) -> jax.Array:
-        """Dense system of cranks, carrier and sun, right side in the last column."""
-        own = jnp.asarray(np.eye(cranks), rhs.dtype)[:, None, :, None, None]
-        square = own * hessian.crank.transpose(2, 0, 1, 3)[:, :, None]  # (c, 3, c, 3, l)
-        outer = rhs[layout.inner : layout.carried, None]
-        dense = jnp.concatenate([square.reshape(3 * cranks, 3 * cranks, lanes), outer], axis=1)
+    def left_by_discs(forward: jax.Array, inverse: list[jax.Array], border: jax.Array, outer: jax.Array) -> jax.Array:
+        """System of the border, right side in the last column."""
+        dense = jnp.concatenate([border[:near, :near], outer[:near]], axis=1)
         for a in range(3):
             for k in range(discs):
-                dense = dense - (forward[a, k, : 3 * cranks] * inverse[a][k, None])[:, None] * forward[a, k, None]
-        bridge = hessian.crank_tail.reshape(3 * cranks, layout.tail, lanes)
-        above = jnp.concatenate([dense[:, :-1], bridge, dense[:, -1:]], axis=1)
-        below = jnp.concatenate([bridge.transpose(1, 0, 2), hessian.tail, rhs[layout.carried :, None]], axis=1)
-        return jnp.concatenate([above, below])
+                dense = dense - (forward[a, k, :near] * inverse[a][k, None])[:, None] * forward[a, k, None]
+        above = jnp.concatenate([dense[:, :-1], border[:near, near:], dense[:, -1:]], axis=1)
+        return jnp.concatenate([above, jnp.concatenate([border[near:], outer[near:]], axis=1)])
 
-    border = _border(layout, stored(left_by_discs, forward, inverse, hessian, rhs))
+    border = _border(layout, stored(left_by_discs, forward, inverse, hessian.border, rhs[layout.inner :, None]))
 
     def of_discs(block: _Block, inverse: list[jax.Array], forward: jax.Array, border: jax.Array) -> jax.Array:
-        left = forward[:, :, -1] - folded(forward[:, :, :-1] * border[None, None, : 3 * cranks], 2)
+        left = forward[:, :, -1] - folded(forward[:, :, :-1] * border[None, None, :near], 2)
         return _backward(block, inverse, left).transpose(1, 0, 2).reshape(layout.inner, lanes)
 
     return jnp.concatenate([of_discs(_rows(hessian.disc), inverse, forward, border), border])
 
 
 def _border(layout: Layout, matrix: jax.Array) -> jax.Array:
-    """Unknowns of cranks, carrier and sun from their dense system (m, m + 1, l)."""
-    sizes = [3] * layout.cranks + [layout.tail % 3 or 3] + [3] * (layout.tail > 3)
+    """Unknowns of the border from their system (m, m + 1, l), body by body."""
     steps = []
-    for size in sizes:
+    for size in (*[3] * layout.links, *layout.common):
         inverse = _inverse(_corner(matrix, size))
         forward, rest = stored(functools.partial(_reduced, size), matrix, inverse)
         steps.append((matrix, inverse, forward))

@@ -116,7 +116,7 @@ def _reading(
     e, circle, error, pins, reading, angle, torque = numbers
     circle = jnp.where(good, circle, cycloid.pin_count)
     e, radius = jnp.where(good, e, 0.5), jnp.where(good, reading.radius, 1)
-    at = geometry(design.replace(cycloid=cycloid.replace(pin_circle_radius=circle)), e, angle)
+    at = geometry(cycloid.replace(pin_circle_radius=circle), e, angle / design.ratio)
 
     # Force of the discs on a pin along -n, its parts outward and along J u.
     outward = -(at.normal[0] * at.pin.cosine[None] + at.normal[1] * at.pin.sine[None])

@@ -1,4 +1,4 @@
-"""Geometry of one input angle, in the frame of the ideal carrier: no displacement, no error but the eccentricity.
+"""Geometry of discs and ring at one angle, in the frame of the ideal carrier, without errors but the eccentricity.
 
 Forward is counter-clockwise, and so is the output. Pin 0 and eccentric 0 lie on the x axis at input angle 0.
 Derivation and equation numbers: docs/models/loaded.md.
@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.elementary import sin_cos
-from rvjax.designs import RVReducer
+from rvjax.designs import CycloidStage
 
 
 class Turn(NamedTuple):
@@ -42,10 +42,9 @@ def turn(angle: jax.Array) -> Turn:
 
 
 class Geometry(NamedTuple):
-    """Directions of one input angle; d discs, p pins."""
+    """Directions at one angle; d discs, p pins."""
 
     carrier: Turn  # th, (): from the housing to the ideal carrier
-    sun: Turn  # theta_s - th, ()
     crank: Turn  # -zp th, ()
     eccentric: Turn  # b_k, (d,)
     pin: Turn  # g_j, (p,)
@@ -57,17 +56,15 @@ class Geometry(NamedTuple):
     tooth: jax.Array  # tooth of disc k that pin j meets, (d, p) integer
 
 
-def geometry(design: RVReducer, eccentricity: jax.Array, input_angle: jax.Array) -> Geometry:
-    """Directions and levers at an input angle.
+def geometry(cycloid: CycloidStage, eccentricity: jax.Array, th: jax.Array) -> Geometry:
+    """Directions and levers at an angle of the carrier against the ring.
 
     Args:
-        design: counts and pin circle radius are read.
+        cycloid: counts and pin circle radius are read.
         eccentricity: e, nominal and error, () m.
-        input_angle: theta_s, () rad.
+        th: () rad.
     """
-    cycloid = design.cycloid
     zc, zp, discs = cycloid.disc_teeth, cycloid.pin_count, cycloid.disc_count
-    th = input_angle / design.ratio
     crank = turn(-zp * th)
     places, pins = np.arange(discs) / discs, np.arange(zp) / zp
     eccentric = crank.plus(2 * np.pi * places)  # Eq. 2
@@ -80,7 +77,6 @@ def geometry(design: RVReducer, eccentricity: jax.Array, input_angle: jax.Array)
     laps = jnp.floor(jax.lax.stop_gradient(zc * th / (2 * np.pi)) + jnp.asarray(pins[None] - places[:, None], th.dtype))
     return Geometry(
         carrier=turn(th),
-        sun=turn(input_angle - th),
         crank=crank,
         eccentric=eccentric,
         pin=pin,

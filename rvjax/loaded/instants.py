@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rvjax.loaded.balance import forces
-from rvjax.loaded.equilibrium import Case, placed, prepare, pressures, solve
+from rvjax.loaded.case import placed, pressures, solve, turned
 from rvjax.loaded.inputs import Read
+from rvjax.loaded.kinds import named, prepare
 from rvjax.loaded.newton import Found
 from rvjax.loaded.system import Layout
 from rvjax.roots import solved
@@ -26,7 +27,7 @@ class Loads(NamedTuple):
     largest_pressure: jax.Array
     largest_arm_bearing: jax.Array
     largest_support_bearing: jax.Array
-    crank_sharing: jax.Array
+    crank_sharing: jax.Array | None
     disc_sharing: jax.Array
 
 
@@ -74,23 +75,27 @@ def _measure(
     layout: Layout, read: Read, torque: jax.Array, angle: jax.Array, found: Found, status: jax.Array
 ) -> tuple[jax.Array, Loads, jax.Array, jax.Array]:
     """Error, loads and forces of an instant, with their derivatives."""
-    case: Case = prepare(layout, read, angle).loaded(torque)
+    case = prepare(layout, read, angle).loaded(torque)
     q = placed(layout, case, found, status)
-    pins, flanks, bearings = forces(layout, case.system, q)
-    square = jnp.sum(bearings * bearings, axis=-1)
-    carried = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
+    at = forces(layout, case.system, q)
+    of_names = named(layout, read, at)
+    arm, support = of_names.disc_bearing, of_names.support_bearing
     loads = Loads(
-        largest_pin=jnp.max(pins),
-        largest_pressure=jnp.max(pressures(case, pins)),
-        largest_arm_bearing=jnp.max(carried[: -layout.cranks]),
-        largest_support_bearing=jnp.max(carried[-layout.cranks :]),
-        crank_sharing=_sharing(flanks[:, 0] - flanks[:, 1]),
-        disc_sharing=_sharing(jnp.sum(case.lever * pins, axis=1)),
+        largest_pin=jnp.max(at.pins),
+        largest_pressure=jnp.max(pressures(case, at.pins)),
+        largest_arm_bearing=_largest(arm),
+        largest_support_bearing=_largest(support),
+        crank_sharing=None if of_names.gear is None else _sharing(of_names.gear),
+        disc_sharing=_sharing(jnp.sum(case.lever * at.pins, axis=1)),
     )
-    error = q[layout.carried] / read.design.cranks.circle_radius
-    bearings = jnp.where(status == Status.CONVERGED, bearings, 0)
-    arm = -bearings[: -layout.cranks].reshape(layout.discs, layout.cranks, 2)
-    return error, loads, arm, bearings[-layout.cranks :]
+    arm, support = (jnp.where(status == Status.CONVERGED, force, 0) for force in (arm, support))
+    return turned(layout, case, q), loads, arm, support
+
+
+def _largest(force: jax.Array) -> jax.Array:
+    """Length of the longest of some vectors (..., 2)."""
+    square = jnp.sum(force * force, axis=-1)
+    return jnp.max(jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0))
 
 
 def _sharing(load: jax.Array) -> jax.Array:

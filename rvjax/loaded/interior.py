@@ -5,37 +5,56 @@ circle by the second order, and contacts open and close in turns. Here no contac
 compressed by s, that keeps a gap z > 0 to its counterpart and has a separate force f > 0. All products f z = mu
 fall together, and with them the forces become those of the contacts:
 
-    pin, flank    z = s - depth(q) > 0,  f > 0
-    journal       Z = (clearance + s, w(q)) in the cone |Z_xy| < Z_0, its force F in the same cone
+    pin, joint    z = s - depth(q) > 0,  f > 0
+    bearing       Z = (clearance + s, w(q)) in the cone |Z_xy| < Z_0, its force F in the same cone
 
 The step of the cones is that of Nesterov and Todd (Mathematics of Operations Research 22, 1997, 1-42): in Newton's
 linear system each contact is a spring of finite stiffness. Arrays have the batch axis last.
 """
 
 import functools
+import operator
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from rvjax.loaded import laws
-from rvjax.loaded.contacts import Bearing, Contacts, gradient, hessian, moved
+from rvjax.loaded.contacts import (
+    Contacts,
+    Held,
+    Pressed,
+    depths,
+    displaced,
+    gradient,
+    limited,
+    pressed_joints,
+    pressed_pins,
+    typical_joint_slopes,
+)
 from rvjax.loaded.elimination import solve
+from rvjax.loaded.hessian import hessian
 from rvjax.loaded.system import Layout, System
 
 STEPS = 60  # at most; hard cases take 15 to 35
 _CLOSED = 5e4  # times the rounding: mu over its first value where the rest is left to Newton's method
 _SHARE = 0.99  # of the way to the boundary of the cones
 
+_Vector = tuple[jax.Array, jax.Array, jax.Array]  # of a cone: along its axis, x, y, (b, l)
+
+
+class _Spring(NamedTuple):
+    """Pins (d, p, l) or joints (j, l)."""
+
+    s: jax.Array  # compression
+    f: jax.Array  # force
+
 
 class _Point(NamedTuple):
     q: jax.Array  # (n, l)
-    s: jax.Array  # (d, p, l) compression of a pin's spring
-    f: jax.Array  # (d, p, l) its force
-    gear: jax.Array  # (c, 2, l) the same of a flank
-    gear_f: jax.Array
-    reach: jax.Array  # (b, l) Z_0 of a journal
-    cone: tuple[jax.Array, jax.Array, jax.Array]  # F_0, F_x, F_y, (b, l)
+    pins: _Spring
+    joints: _Spring
+    reach: jax.Array  # (b, l) Z_0 of a bearing
+    force: _Vector  # F of a bearing
 
 
 class _Loop(NamedTuple):
@@ -56,80 +75,50 @@ def approach(layout: Layout, s: System, wanted: jax.Array) -> tuple[jax.Array, j
         wanted: (l,) elements to solve; others stay at zero.
     """
     lanes = wanted.shape[0]
-    free = jnp.broadcast_to(s.clearance > 0, (layout.bearings, lanes))  # without clearance a journal is a linear spring
-    k, eps = s.bearing_stiffness, float(jnp.finfo(s.gap.dtype).eps)
-    contacts_free = s.gap.shape[0] * s.gap.shape[1] + 2 * layout.cranks + jnp.sum(free, axis=0, dtype=s.gap.dtype)
+    bearings = layout.contacts(layout.bearings)
+    free = jnp.broadcast_to(s.bearings.clearance > 0, (bearings, lanes))  # without clearance it is a linear spring
+    eps = float(jnp.finfo(s.pins.gap.dtype).eps)
+    unilateral = layout.discs * layout.pins + layout.contacts(layout.joints)
+    products = unilateral + jnp.sum(free, axis=0, dtype=s.pins.gap.dtype)
 
     def body(loop: _Loop) -> _Loop:
         at = loop.at
-        depth, gear_depth, w = _moved(layout, s, at.q)
-        x, y = w[:, 0], w[:, 1]
-        z, gear_z = at.s - depth, at.gear - gear_depth
-        law = laws.force(layout.law, at.s, s.compliance[None], s.level)
-        slope = laws.slope(layout.law, at.s, law, s.compliance[None])
-        f0, fx, fy = at.cone
-        inside = at.reach * f0 + x * fx + y * fy
-        total = _sum(at.f * z) + _sum(at.gear_f * gear_z) + _sum(jnp.where(free, inside, 0))
-        mu = total / contacts_free
+        pins, (joints, w) = depths(layout, s, at.q), displaced(s, at.q)
+        reach = (at.reach, w[:, 0], w[:, 1])
+        inside = functools.reduce(operator.add, (a * b for a, b in zip(reach, at.force)))
+        total = _sum(at.pins.f * (at.pins.s - pins)) + _sum(at.joints.f * (at.joints.s - joints))
+        mu = (total + _sum(jnp.where(free, inside, 0))) / products
         first = jnp.where(loop.steps == 0, mu, loop.first)
         going = loop.open & (mu > _CLOSED * eps * first) & (loop.steps < STEPS)
         goal = mu * jnp.where(loop.share > 0.9, 0.1, jnp.where(loop.share > 0.5, 0.3, 0.5))
 
-        # Pins and flanks: the force that closes f z = goal along the contact law, and its slope in the depth.
-        room = z + at.f / slope
-        pins, pin_slope = (goal[None, None] + at.f * law / slope) / room, at.f / room
-        room = gear_z + at.gear_f / s.gear_stiffness[:, None]
-        gear, gear_slope = (goal[None, None] + at.gear_f * at.gear) / room, at.gear_f / room
-        # Journals: the scaling of the two cones, eta (2 v v' - J), with v = (v0, -vx, -vy) and the goal over Z.
-        det, det_f = _det(at.reach, x, y), _det(f0, fx, fy)
-        root, root_f = jnp.sqrt(det), jnp.sqrt(det_f)
-        mean = jnp.sqrt(2 + 2 * inside / (root * root_f))
-        v0, vx, vy = ((a / root + b / root_f) / mean for a, b in ((at.reach, f0), (x, -fx), (y, -fy)))
-        eta = root_f / root
-        axial = k + eta * (2 * v0 * v0 - 1)
-        push = (goal[None] * at.reach / det - k * (at.reach - s.clearance)) / axial
-        along = 2 * eta * (k - eta) / axial
-        across = -2 * eta * v0  # of the first row, times vx and vy
-        own = [jnp.where(free, goal[None] / det * u + across * v * push, k * u) for u, v in ((x, vx), (y, vy))]
-        stiff = [
-            jnp.where(free, one + along * product, alone)
-            for one, product, alone in ((eta, vx * vx, k), (0.0, vx * vy, 0.0), (eta, vy * vy, k))
-        ]
-        bearing = Bearing(jnp.stack(own, axis=1), jnp.stack(stiff), jnp.zeros_like(x))
-        forces = Contacts(depth, pins, gear_depth, gear, bearing)
-        g, square = jax.lax.optimization_barrier(
-            (gradient(layout, s, at.q, forces), hessian(layout, s, forces, pin_slope, gear_slope))
+        of_pins, of_joints = pressed_pins(layout, s, at.pins.s), pressed_joints(layout, s, at.joints.s)
+        cone = _cone(s, free, goal, reach, at.force, inside)
+        closing = Contacts(
+            _closing(at.pins, pins, of_pins, goal), _closing(at.joints, joints, of_joints, goal), cone.held
         )
+        g, square = jax.lax.optimization_barrier((gradient(layout, s, at.q, closing), hessian(layout, s, closing)))
         dq = jax.lax.optimization_barrier(-solve(layout, square, g))
 
-        ddepth, dgear_depth, dw = _moved(layout, s, dq, gaps=False)
-        dx, dy = dw[:, 0], dw[:, 1]
-        df = pins + pin_slope * ddepth - at.f
-        ds = (df + at.f - law) / slope
-        dgear_f = gear + gear_slope * dgear_depth - at.gear_f
-        dgear = (dgear_f + at.gear_f) / s.gear_stiffness[:, None] - at.gear
-        dreach = push - across * (vx * dx + vy * dy) / axial
-        dcone = (
-            k * (at.reach + dreach - s.clearance) - f0,
-            -(own[0] + stiff[0] * dx + stiff[1] * dy) - fx,
-            -(own[1] + stiff[1] * dx + stiff[2] * dy) - fy,
+        dpins, (djoints, dw) = depths(layout, s, dq, gaps=False), displaced(s, dq, gaps=False)
+        step = _Point(
+            dq,
+            _change(at.pins, closing.pins, of_pins, dpins),
+            _change(at.joints, closing.joints, of_joints, djoints),
+            *_cone_change(s, at, cone, dw),
         )
-        most = [_until(at.f, df), _until(z, ds - ddepth), _until(at.s, ds)]
-        most += [_until(at.gear_f, dgear_f), _until(gear_z, dgear - dgear_depth)]
-        most += [
-            jnp.min(jnp.where(free, _leaves(a, b), jnp.inf), axis=0)
-            for a, b in (((at.reach, x, y), (dreach, dx, dy)), (at.cone, dcone))
-        ]
-        if layout.law == "hertz":
-            most.append(_until(laws.largest_depth(s.compliance[None], s.level) - at.s, -ds))
+        most = [*_room(at.pins, pins, step.pins, dpins), *_room(at.joints, joints, step.joints, djoints)]
+        for vector, change in ((reach, (step.reach, dw[:, 0], dw[:, 1])), (at.force, step.force)):
+            most.append(jnp.min(jnp.where(free, _leaves(vector, change), jnp.inf), axis=0))
+        limits, changes = (limited(layout, s, x.pins.s, x.joints.s) for x in (at, step))
+        most += [_until(limit - now, -change) for (limit, now), (_, change) in zip(limits, changes)]
         share = jnp.minimum(1, _SHARE * jnp.min(jnp.stack(most), axis=0))
-        step = _Point(dq, ds, df, dgear, dgear_f, dreach, dcone)
-        moved_to = jax.tree.map(
+        moved = jax.tree.map(
             lambda old, change: jnp.where(_like(going, old), old + _like(share, old) * change, old), at, step
         )
-        return _Loop(moved_to, share, first, loop.steps + going.astype(jnp.int32), going)
+        return _Loop(moved, share, first, loop.steps + going.astype(jnp.int32), going)
 
-    zero = jnp.zeros((lanes,), s.gap.dtype)
+    zero = jnp.zeros((lanes,), s.pins.gap.dtype)
     loop = _Loop(_begin(layout, s, lanes), zero, zero, jnp.zeros((lanes,), jnp.int32), wanted)
     found = jax.lax.while_loop(lambda loop: jnp.any(loop.open), body, loop)
     return found.at.q, found.steps
@@ -137,36 +126,81 @@ def approach(layout: Layout, s: System, wanted: jax.Array) -> tuple[jax.Array, j
 
 def _begin(layout: Layout, s: System, lanes: int) -> _Point:
     """At q = 0 with every gap as wide as the widest of the case."""
-    q = jnp.zeros((layout.unknowns, lanes), s.gap.dtype)
-    depth, gear_depth, w = _moved(layout, s, q)
-    stiffest = jnp.maximum(jnp.max(s.bearing_stiffness, axis=0), jnp.max(s.gear_stiffness, axis=0))
-    wide = jnp.max(jnp.abs(depth), axis=(0, 1))
-    for other in (jnp.max(jnp.abs(gear_depth), axis=(0, 1)), jnp.max(jnp.abs(w), axis=(0, 1))):
-        wide = jnp.maximum(wide, other)
-    wide = jnp.maximum(jnp.maximum(wide, jnp.max(s.clearance, axis=0)), jnp.abs(s.load) / stiffest)
-    if layout.law == "hertz":
-        wide = jnp.minimum(wide, jnp.min(laws.largest_depth(s.compliance[None], s.level), axis=(0, 1)) / 4)
-    pin = jnp.maximum(depth, 0) + wide[None, None]
-    gear = jnp.maximum(gear_depth, 0) + wide[None, None]
-    reach = jnp.maximum(jnp.sqrt(w[:, 0] * w[:, 0] + w[:, 1] * w[:, 1]), s.clearance) + wide[None]
-    force = s.bearing_stiffness * (reach - s.clearance)
-    return _Point(
-        q=q,
-        s=pin,
-        f=laws.force(layout.law, pin, s.compliance[None], s.level),
-        gear=gear,
-        gear_f=s.gear_stiffness[:, None] * gear,
-        reach=reach,
-        cone=(force, jnp.zeros_like(force), jnp.zeros_like(force)),
+    q = jnp.zeros((layout.unknowns, lanes), s.pins.gap.dtype)
+    pins, (joints, w) = depths(layout, s, q), displaced(s, q)
+    stiffest = jnp.maximum(jnp.max(s.bearings.stiffness, axis=0), jnp.max(typical_joint_slopes(layout, s), axis=0))
+    wide = jnp.abs(s.load) / stiffest
+    for gap in (pins, joints, w, s.bearings.clearance):
+        wide = jnp.maximum(wide, jnp.max(jnp.abs(gap), axis=tuple(range(gap.ndim - 1))))
+    for limit, _ in limited(layout, s, pins, joints):
+        wide = jnp.minimum(wide, jnp.min(limit, axis=tuple(range(limit.ndim - 1))) / 4)
+    reach = jnp.maximum(jnp.sqrt(w[:, 0] * w[:, 0] + w[:, 1] * w[:, 1]), s.bearings.clearance) + wide[None]
+    axial = s.bearings.stiffness * (reach - s.bearings.clearance)
+    pins, joints = (jnp.maximum(depth, 0) + _like(wide, depth) for depth in (pins, joints))
+    of_pins, of_joints = pressed_pins(layout, s, pins).force, pressed_joints(layout, s, joints).force
+    force = (axial, jnp.zeros_like(axial), jnp.zeros_like(axial))
+    return _Point(q, _Spring(pins, of_pins), _Spring(joints, of_joints), reach, force)
+
+
+def _closing(spring: _Spring, depth: jax.Array, law: Pressed, goal: jax.Array) -> Pressed:
+    """The force that closes f z = goal along the contact law, and its slope in the depth."""
+    room = spring.s - depth + spring.f / law.slope
+    return Pressed(depth, (_like(goal, depth) + spring.f * law.force / law.slope) / room, spring.f / room)
+
+
+def _change(spring: _Spring, closing: Pressed, law: Pressed, depth: jax.Array) -> _Spring:
+    """Step of pins or joints whose depths change by `depth`."""
+    change = closing.force + closing.slope * depth - spring.f
+    return _Spring((change + spring.f - law.force) / law.slope, change)
+
+
+def _room(spring: _Spring, depth: jax.Array, step: _Spring, change: jax.Array) -> list[jax.Array]:
+    """Shares of a step at which a force, a gap or a compression vanishes."""
+    z = spring.s - depth
+    return [_until(spring.f, step.f), _until(z, step.s - change), _until(spring.s, step.s)]
+
+
+class _Cone(NamedTuple):
+    """Bearings in Newton's linear system, and what their step along Z_0 follows from."""
+
+    held: Held
+    v: _Vector
+    push: jax.Array
+    across: jax.Array  # of the first row, times v_x and v_y
+    axial: jax.Array
+
+
+def _cone(s: System, free: jax.Array, goal: jax.Array, z: _Vector, f: _Vector, inside: jax.Array) -> _Cone:
+    """The scaling of the two cones, eta (2 v v' - J), with v = (v0, -vx, -vy) and the goal over Z."""
+    k = s.bearings.stiffness
+    det, det_f = _det(*z), _det(*f)
+    root, root_f = jnp.sqrt(det), jnp.sqrt(det_f)
+    mean = jnp.sqrt(2 + 2 * inside / (root * root_f))
+    v0, vx, vy = ((a / root + sign * b / root_f) / mean for a, b, sign in zip(z, f, (1, -1, -1)))
+    eta = root_f / root
+    axial = k + eta * (2 * v0 * v0 - 1)
+    push = (goal[None] * z[0] / det - k * (z[0] - s.bearings.clearance)) / axial
+    along = 2 * eta * (k - eta) / axial
+    across = -2 * eta * v0
+    force = [jnp.where(free, goal[None] / det * u + across * v * push, k * u) for u, v in ((z[1], vx), (z[2], vy))]
+    stiffness = [
+        jnp.where(free, one + along * product, alone)
+        for one, product, alone in ((eta, vx * vx, k), (0.0, vx * vy, 0.0), (eta, vy * vy, k))
+    ]
+    held = Held(jnp.stack(force, axis=1), jnp.stack(stiffness), jnp.zeros_like(eta))
+    return _Cone(held, (v0, vx, vy), push, across, axial)
+
+
+def _cone_change(s: System, at: _Point, cone: _Cone, dw: jax.Array) -> tuple[jax.Array, _Vector]:
+    """Steps of Z_0 and F for a step dw (b, 2, l) of the displacements."""
+    (dx, dy), (_, vx, vy), (xx, xy, yy) = (dw[:, 0], dw[:, 1]), cone.v, cone.held.stiffness
+    reach = cone.push - cone.across * (vx * dx + vy * dy) / cone.axial
+    f0, fx, fy = at.force
+    return reach, (
+        s.bearings.stiffness * (at.reach + reach - s.bearings.clearance) - f0,
+        -(cone.held.force[:, 0] + xx * dx + xy * dy) - fx,
+        -(cone.held.force[:, 1] + xy * dx + yy * dy) - fy,
     )
-
-
-def _moved(layout: Layout, s: System, q: jax.Array, gaps: bool = True) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Depths of pins and flanks and displacements of journals at q, or their changes."""
-    discs = q[: 3 * layout.discs].reshape(layout.discs, 3, 1, -1)
-    depth = sum(s.rows[a] * discs[:, a] for a in range(3))
-    parts = (depth, moved(s.gear_rows, q), moved(s.bearing_rows, q))
-    return tuple(a + b for a, b in zip(parts, (s.gap, s.gear_gap, s.bearing_gap))) if gaps else parts
 
 
 def _det(z0: jax.Array, x: jax.Array, y: jax.Array) -> jax.Array:
@@ -187,7 +221,8 @@ def _leaves(z: tuple[jax.Array, ...], dz: tuple[jax.Array, ...]) -> jax.Array:
 
 def _until(value: jax.Array, change: jax.Array) -> jax.Array:
     """Share of a change at which the first of some positive values vanishes, (l,)."""
-    return jnp.min(jnp.where(change < 0, value / jnp.where(change < 0, -change, 1), jnp.inf), axis=(0, 1))
+    share = jnp.where(change < 0, value / jnp.where(change < 0, -change, 1), jnp.inf)
+    return jnp.min(share, axis=tuple(range(share.ndim - 1)))
 
 
 def _like(lanes: jax.Array, value: jax.Array) -> jax.Array:

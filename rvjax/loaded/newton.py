@@ -19,11 +19,25 @@ from jax.typing import DTypeLike
 from rvjax._jax.batching import folded, stored
 from rvjax.loaded import laws
 from rvjax.loaded.batching import BLOCK, take
-from rvjax.loaded.contacts import Bearing, Contacts, depths, energy, frame, gradient, hessian, joints
+from rvjax.loaded.contacts import (
+    Contacts,
+    Held,
+    Pressed,
+    depths,
+    displaced,
+    energy,
+    gradient,
+    held,
+    limited,
+    pressed_joints,
+    pressed_pins,
+    typical_joint_slopes,
+)
 from rvjax.loaded.elimination import solve
+from rvjax.loaded.hessian import Frame, frame, hessian
 from rvjax.loaded.interior import approach
 from rvjax.loaded.system import Layout, System
-from rvjax.loaded.watchdog import Judged, State, decided, fresh, is_open, onward, packed, unpacked
+from rvjax.loaded.watchdog import Merit, State, begun, decided, onward, unpacked
 from rvjax.records import PyTree
 
 MAX_STEPS = 300
@@ -36,9 +50,9 @@ class Found(NamedTuple):
     q: jax.Array  # (n, l)
     steps: jax.Array  # (l,)
     residual: jax.Array  # (l,) gradient over the largest force
-    largest: jax.Array  # (l,) force of any pin, N
+    largest: jax.Array  # (l,) force of any pin or joint on a disc, N
     converged: jax.Array  # (l,)
-    overload: jax.Array  # (l,) a pin beyond its contact law, at the start or on the way
+    overload: jax.Array  # (l,) a pin or joint beyond its contact law, at the start or on the way
     finite: jax.Array  # (l,)
 
     @classmethod
@@ -50,19 +64,20 @@ class Found(NamedTuple):
 
 
 class _Tour(NamedTuple):
-    """State of all cases: those that wait for the next round, and the results."""
+    """State of all cases between two rounds. In the second round each begins near its minimum."""
 
     number: jax.Array  # of the round
-    queued: jax.Array  # (cases,)
-    found: Found
+    queued: jax.Array  # (cases,) to be solved in it
+    found: Found  # cases first
 
 
-_Loop = tuple[jax.Array, State, jax.Array, Found]  # case in each place, their states, next in the queue, results
+class _Block(NamedTuple):
+    """State within a round. The queue is the list of the queued cases; each has a place of the block for a while."""
 
-
-def _found(state: State) -> Found:
-    lane = unpacked(state.lanes, state.marks)
-    return Found(state.q, lane.steps, lane.residual, lane.largest, lane.converged, lane.overload, lane.finite)
+    turn: jax.Array  # (width,) number in the queue of the case at each place
+    state: State
+    next: jax.Array  # number in the queue of the first case without a place so far
+    found: Found  # cases first
 
 
 def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
@@ -74,52 +89,9 @@ def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
         start: (cases or 1, n); NaN for the linear start, inf for a case that is not solved.
     """
     cases = max(len(leaf) for leaf in jax.tree.leaves((system, start)))
-    width = min(cases, BLOCK)
     if layout.law != "linear":
         system = _working_first(system)
-
-    def one_round(tour: _Tour) -> _Tour:
-        """Every case of the queue; in the second round each begins near its minimum."""
-        (queue,) = jnp.nonzero(tour.queued, size=cases, fill_value=cases)
-        many, again = jnp.sum(tour.queued, dtype=jnp.int32), tour.number > 0
-
-        def seated(place: jax.Array, empty: jax.Array) -> tuple[jax.Array, System, State]:
-            index = queue.at[place].get(mode="fill", fill_value=cases)
-            part, begin, steps = take((system, start, tour.found.steps), jnp.minimum(index, cases - 1))
-            part = part._replace(gap=jnp.broadcast_to(part.gap, (*part.gap.shape[:-1], width)))
-            taken = place < many
-            begin = jnp.broadcast_to(begin, (layout.unknowns, width))
-            begin, more = jax.lax.cond(
-                again,
-                lambda: approach(layout, part, taken & empty),
-                lambda: (begin, jnp.zeros((width,), jnp.int32)),
-            )
-            return index, part, _begin(layout, part, begin, taken, jnp.where(again, steps, 0) + more)
-
-        def unfinished(loop: _Loop) -> jax.Array:
-            _, state, cursor, _ = loop
-            return jnp.any(is_open(state)) | (cursor < many)
-
-        def refill(loop: _Loop) -> _Loop:
-            place, state, cursor, results = loop
-            free = ~is_open(state)
-            place = jnp.where(free, cursor + jnp.cumsum(free, dtype=place.dtype) - 1, place)
-            cursor = cursor + jnp.sum(free, dtype=place.dtype)
-            index, part, fresh = seated(place, free)
-            state = jax.tree.map(lambda new, old: jnp.where(free[None], new, old), fresh, state)
-            leave = jnp.where(cursor < many, 3 * width // 4, 0).astype(jnp.int32)
-            state = _iterate(layout, part, state, leave, again)
-            results = jax.tree.map(
-                lambda all_, new: all_.at[index].set(jnp.moveaxis(new, -1, 0), mode="drop"), results, _found(state)
-            )
-            return place, state, cursor, results
-
-        place = jnp.zeros((width,), jnp.int32)
-        shapes = jax.eval_shape(lambda: seated(place, place == 0)[2])
-        empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)  # every place is free
-        found = jax.lax.while_loop(unfinished, refill, (place, empty, jnp.int32(0), tour.found))[-1]
-        lost = ~found.converged & found.finite & (found.steps >= _DIRECT)
-        return _Tour(tour.number + 1, lost, found)
+    one_round = functools.partial(_round, layout, system, start)
 
     def goes_on(tour: _Tour) -> jax.Array:
         return (tour.number == 0) | ((tour.number == 1) & jnp.any(tour.queued))
@@ -127,114 +99,188 @@ def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
     dtype = start.dtype
     zero, no, none = jnp.zeros((cases,), dtype), jnp.zeros((cases,), bool), jnp.zeros((cases,), jnp.int32)
     nothing = Found(jnp.zeros((cases, layout.unknowns), dtype), none, zero, zero, no, no, no)
-    wanted = jnp.broadcast_to(~jnp.any(jnp.isinf(start), axis=1), (cases,))
-    return jax.lax.while_loop(goes_on, one_round, _Tour(jnp.int32(0), wanted, nothing)).found
+    solved = jnp.broadcast_to(~jnp.any(jnp.isinf(start), axis=1), (cases,))
+    return jax.lax.while_loop(goes_on, one_round, _Tour(jnp.int32(0), solved, nothing)).found
 
 
 def _working_first(s: System) -> System:
     """The pins of every disc in another order: those first that the torque presses."""
-    order = jnp.argsort(s.rows[:, 2] * s.load[:, None, None], axis=-1)
-    level = None if s.level is None else jnp.take_along_axis(s.level, order, axis=-1)
-    return s._replace(
-        rows=jnp.take_along_axis(s.rows, order[:, None], axis=-1),
-        gap=jnp.take_along_axis(s.gap, order, axis=-1),
-        level=level,
-    )
+    pins = s.pins
+    order = jnp.argsort(pins.rows[:, 2] * s.load[:, None, None], axis=-1)
+    level = None if pins.level is None else jnp.take_along_axis(pins.level, order, axis=-1)
+    rows = jnp.take_along_axis(pins.rows, order[:, None], axis=-1)
+    return s._replace(pins=pins._replace(rows=rows, gap=jnp.take_along_axis(pins.gap, order, axis=-1), level=level))
 
 
-def _begin(layout: Layout, s: System, start: jax.Array, seated: jax.Array, steps: jax.Array) -> State:
+def _round(layout: Layout, system: System, start: jax.Array, tour: _Tour) -> _Tour:
+    """Every case of the queue, as many at a time as a block has places."""
+    cases = len(tour.queued)
+    width = min(cases, BLOCK)
+    (queue,) = jnp.nonzero(tour.queued, size=cases, fill_value=cases)
+    many, again = jnp.sum(tour.queued, dtype=jnp.int32), tour.number > 0
+
+    def seated(turn: jax.Array, empty: jax.Array) -> tuple[jax.Array, System, State]:
+        """Case at each place (`cases` for none), its system, and the state in which it begins."""
+        index = queue.at[turn].get(mode="fill", fill_value=cases)
+        part, begin, steps = take((system, start, tour.found.steps), jnp.minimum(index, cases - 1))
+        gap = jnp.broadcast_to(part.pins.gap, (*part.pins.gap.shape[:-1], width))
+        part = part._replace(pins=part.pins._replace(gap=gap))
+        taken = turn < many
+        begin = jnp.broadcast_to(begin, (layout.unknowns, width))
+        begin, more = jax.lax.cond(
+            again,
+            lambda: approach(layout, part, taken & empty),
+            lambda: (begin, jnp.zeros((width,), jnp.int32)),
+        )
+        return index, part, _begin(part, begin, taken, jnp.where(again, steps, 0) + more)
+
+    def unfinished(block: _Block) -> jax.Array:
+        return jnp.any(block.state.open) | (block.next < many)
+
+    def refill(block: _Block) -> _Block:
+        """Give the places of ended cases to the next of the queue, and go on until there are places to give again."""
+        free = ~block.state.open
+        turn = jnp.where(free, block.next + jnp.cumsum(free, dtype=jnp.int32) - 1, block.turn)
+        following = block.next + jnp.sum(free, dtype=jnp.int32)
+        index, part, fresh = seated(turn, free)
+        state = jax.tree.map(lambda new, old: jnp.where(free[None], new, old), fresh, block.state)
+        # A refill waits for a quarter of the places; without a queue all cases run to their end.
+        leave = jnp.where(following < many, 3 * width // 4, 0).astype(jnp.int32)
+        state = _iterate(layout, part, state, leave, again)
+        # Cases that are still open are written, too: their last values come later. Places without a case write nothing.
+        found = jax.tree.map(
+            lambda all_, new: all_.at[index].set(jnp.moveaxis(new, -1, 0), mode="drop"), block.found, _found(state)
+        )
+        return _Block(turn, state, following, found)
+
+    turn = jnp.zeros((width,), jnp.int32)
+    shapes = jax.eval_shape(lambda: seated(turn, turn == 0)[2])
+    empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)  # not open: every place is free
+    found = jax.lax.while_loop(unfinished, refill, _Block(turn, empty, jnp.int32(0), tour.found)).found
+    lost = ~found.converged & found.finite & (found.steps >= _DIRECT)
+    return _Tour(tour.number + 1, lost, found)
+
+
+def _begin(s: System, start: jax.Array, seated: jax.Array, steps: jax.Array) -> State:
     """At the start that is given; where that is NaN at zero, before the linear step."""
-    lanes = seated.shape[0]
-    start = jnp.broadcast_to(start, (layout.unknowns, lanes))
     warm = jnp.all(jnp.isfinite(start), axis=0)
-    q = jnp.where(warm[None], start, 0)
-    lane = fresh(lanes, start.dtype)
-    lane = lane._replace(steps=steps, cold=~warm & (s.load != 0), given=warm, open=seated)
-    return State(q, q, jnp.zeros_like(q), *packed(lane, start.dtype))
+    return begun(jnp.where(warm[None], start, 0), seated, warm, ~warm & (s.load != 0), steps)
 
 
-def _overloaded(s: System, depth: jax.Array) -> jax.Array:
-    return folded(depth >= laws.largest_depth(s.compliance[None], s.level), 0, 1, by=jnp.logical_or)
+def _found(state: State) -> Found:
+    _, _, reached, counts, _, end = unpacked(state.numbers, state.integers)
+    return Found(state.q, counts.steps, *reached, *end)
+
+
+class _Shared(NamedTuple):
+    """Numbers that all steps of a block share."""
+
+    layout: Layout
+    s: System
+    at_rest: Frame
+    pins: jax.Array  # (d, p, l) slopes of the linear start: of contacts that a torque of this sign closes, else 0
+    joints: jax.Array  # (j, l)
+    stiffest: jax.Array  # (l,) of all springs, N/m
+    widest: jax.Array  # (l,) of all gaps, m
+    slack: jax.Array  # () factor on the largest gradient of a minimum
+
+
+def _shared(layout: Layout, s: System, again: jax.Array) -> _Shared:
+    """Linear slopes are those at the mean force of the working contacts, half of all, with the mean of their levers."""
+    pins, joints = s.pins, typical_joint_slopes(layout, s)
+    force = jnp.abs(s.load) / (jnp.sum(jnp.abs(pins.rows[2]), axis=(0, 1)) / 2)
+    typical = laws.typical_slope(layout.law, force[None, None], pins.compliance[None], pins.level)
+    return _Shared(
+        layout,
+        s,
+        at_rest=frame(layout, s),
+        pins=jnp.where((pins.rows[2] < 0) == (s.load > 0)[None, None], typical, 0),
+        joints=jnp.where((s.joints.lever < 0) == (s.load > 0)[None], joints, 0),
+        stiffest=_most(s.bearings.stiffness, joints),
+        widest=_most(pins.gap, s.joints.gap, s.bearings.gap),
+        # A body sums up to some ten contacts, each with its rounding: a case above that after 80 steps stays there.
+        slack=jnp.where(again, 8.0, 1.0).astype(pins.gap.dtype),
+    )
 
 
 def _iterate(layout: Layout, s: System, state: State, leave: jax.Array, again: jax.Array) -> State:
     """Steps of all open cases until no more than `leave` are open; `again`: in the second round."""
-    limit = jnp.where(again, MAX_STEPS, _DIRECT)
-    # A part sums up to some ten contacts, each with its rounding: a case above that after 80 steps never gets below.
-    slack = jnp.where(again, 8.0, 1.0).astype(state.q.dtype)
-    lanes = state.q.shape[-1]
-    eps = float(jnp.finfo(state.q.dtype).eps)
-    tolerance = max(1e-13, 32 * eps)  # of the largest force
-    stiffest = _most(s.bearing_stiffness, s.gear_stiffness)
-    widest = _most(s.gap, s.gear_gap, s.bearing_gap)
-    # The linear start: a slope for the mean force of the working pins, half of all, with the mean of their levers.
-    lever = jnp.sum(jnp.abs(s.rows[2]), axis=(0, 1)) / 2
-    typical = laws.typical_slope(layout.law, (jnp.abs(s.load) / lever)[None, None], s.compliance[None], s.level)
-    working = jnp.where((s.rows[2] < 0) == (s.load > 0)[None, None], typical, 0)
-    driving = jnp.broadcast_to(jnp.stack([s.load > 0, s.load <= 0])[None], (layout.cranks, 2, s.load.shape[-1]))
-
-    at_rest = frame(layout, s)
-
-    def law(depth: jax.Array, level: jax.Array | None) -> tuple[jax.Array, jax.Array]:
-        force = laws.force(layout.law, depth, s.compliance[None], level)
-        return force, laws.slope(layout.law, depth, force, s.compliance[None])
-
-    def pressed(q: jax.Array, cold: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Depths, forces and slopes of the pins; those that the torque does not press are rarely pressed at all."""
-        depth = depths(layout, s, q)
-        if layout.law == "linear":
-            force, slope = law(depth, None)
-        else:
-            half = layout.pins // 2 + 1
-            level = depth if s.level is None else s.level  # read by the hertz contact law only
-            near = stored(law, depth[:, :half], level[:, :half])
-            far = jax.lax.cond(
-                jnp.any(depth[:, half:] > 0),
-                law,
-                lambda depth, _: (jnp.zeros_like(depth), jnp.zeros_like(depth)),
-                *(depth[:, half:], level[:, half:]),
-            )
-            force, slope = (jnp.concatenate(both, axis=1) for both in zip(near, far))
-        started = cold[None, None]
-        return depth, jnp.where(started, working * depth, force), jnp.where(started, working, slope)
-
-    def joined(q: jax.Array, cold: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, Bearing]:
-        """Depths, forces and slopes of the flanks, and the bearings."""
-        depth, held = joints(s._replace(clearance=jnp.where(cold, 0, s.clearance)), q)
-        slope = jnp.where(jnp.where(cold[None, None], driving, depth > 0), s.gear_stiffness[:, None], 0)
-        return depth, slope * depth, slope, held
-
-    def judged(q: jax.Array, step: jax.Array, cold: jax.Array, at: Contacts, g: jax.Array, newton: jax.Array) -> Judged:
-        value = energy(layout, s, q, at)
-        size, miss = _most(at.pins, at.gear, at.bearing.force), _most(g)
-        rounding = stiffest * jnp.maximum(widest, _most(q))
-        over = _overloaded(s, at.depth) if layout.law == "hertz" else jnp.zeros((lanes,), bool)
-        return Judged(
-            value=value,
-            miss=miss,
-            size=size,
-            largest=folded(at.pins, 0, 1, by=jnp.maximum),
-            along=folded(step * g, 0),
-            descent=folded(newton * g, 0),
-            small=miss <= slack * jnp.maximum(tolerance * size, 2 * eps * rounding),
-            fine=jnp.isfinite(value) & folded(jnp.isfinite(newton), 0, by=jnp.logical_and),
-            over=over & ~cold,
-        )
+    limit, of = jnp.where(again, MAX_STEPS, _DIRECT), _shared(layout, s, again)
 
     def body(state: State) -> State:
-        q, cold = state.q, unpacked(state.lanes, state.marks).cold
-        depth, pins, slope = stored(pressed, q, cold)
-        gear_depth, gear, gear_slope, held = stored(joined, q, cold)
-        at = Contacts(depth, pins, gear_depth, gear, held)
+        q, cold = state.q, state.cold
+        pins = stored(functools.partial(_pressed, of), q, cold)
+        joints, bearings = stored(functools.partial(_jointed, of), q, cold)
+        at = Contacts(pins, joints, bearings)
         g = stored(lambda q, at: gradient(layout, s, q, at), q, at)
-        square = stored(lambda *of: hessian(layout, s, *of), at, slope, gear_slope, at_rest)
+        square = stored(lambda at, at_rest: hessian(layout, s, at, at_rest), at, of.at_rest)
         newton = stored(lambda square, g: -solve(layout, square, g), square, g)
-        found = stored(judged, q, state.step, cold, at, g, newton)
-        numbers, marks = stored(decided, state.lanes, state.marks, found, limit)
-        q, best, step = stored(onward, state, newton, numbers, marks)
-        return State(q, best, step, numbers, marks)
+        merit = stored(functools.partial(_merit, of), q, state.step, cold, at, g, newton)
+        numbers, integers = stored(decided, state.numbers, state.integers, merit, limit)
+        q, best, step = stored(onward, state, newton, numbers, integers)
+        return State(q, best, step, numbers, integers)
 
-    return jax.lax.while_loop(lambda state: jnp.sum(is_open(state), dtype=leave.dtype) > leave, body, state)
+    return jax.lax.while_loop(lambda state: jnp.sum(state.open, dtype=leave.dtype) > leave, body, state)
+
+
+def _pressed(of: _Shared, q: jax.Array, cold: jax.Array) -> Pressed:
+    """The pins; those that the torque does not press are rarely pressed at all."""
+    layout, s, half = of.layout, of.s, of.layout.pins // 2 + 1
+    depth = depths(layout, s, q)
+    if layout.law == "linear":
+        return _started(pressed_pins(layout, s, depth), of.pins, cold[None, None])
+
+    def law(depth: jax.Array, level: jax.Array) -> tuple[jax.Array, jax.Array]:
+        _, force, slope = pressed_pins(layout, s._replace(pins=s.pins._replace(level=level)), depth)
+        return force, slope
+
+    level = depth if s.pins.level is None else s.pins.level  # read by the hertz contact law only
+    near = stored(law, depth[:, :half], level[:, :half])
+    far = jax.lax.cond(
+        jnp.any(depth[:, half:] > 0),
+        law,
+        lambda depth, _: (jnp.zeros_like(depth), jnp.zeros_like(depth)),
+        *(depth[:, half:], level[:, half:]),
+    )
+    force, slope = (jnp.concatenate(both, axis=1) for both in zip(near, far))
+    return _started(Pressed(depth, force, slope), of.pins, cold[None, None])
+
+
+def _jointed(of: _Shared, q: jax.Array, cold: jax.Array) -> tuple[Pressed, Held]:
+    """The joints, and the bearings, before the linear step without clearance."""
+    depth, w = displaced(of.s, q)
+    shut = of.s.bearings._replace(clearance=jnp.where(cold, 0, of.s.bearings.clearance))
+    return _started(pressed_joints(of.layout, of.s, depth), of.joints, cold[None]), held(w, shut)
+
+
+def _started(at: Pressed, slope: jax.Array, cold: jax.Array) -> Pressed:
+    """Contacts, linear with the given slopes in a case before its linear step."""
+    return Pressed(at.depth, jnp.where(cold, slope * at.depth, at.force), jnp.where(cold, slope, at.slope))
+
+
+def _merit(
+    of: _Shared, q: jax.Array, step: jax.Array, cold: jax.Array, at: Contacts, g: jax.Array, newton: jax.Array
+) -> Merit:
+    value, eps = energy(of.layout, of.s, q, at), float(jnp.finfo(q.dtype).eps)
+    size, miss = _most(at.pins.force, at.joints.force, at.bearings.force), _most(g)
+    rounding = 2 * eps * (of.stiffest * jnp.maximum(of.widest, _most(q)))
+    on_discs = [at.joints.force[part] for group, part in of.layout.parts(of.layout.joints) if group.discs]
+    over = [_any(depth >= limit) for limit, depth in limited(of.layout, of.s, at.pins.depth, at.joints.depth)]
+    return Merit(
+        energy=value,
+        miss=miss,
+        size=size,
+        largest=_most(at.pins.force, *on_discs),
+        along=folded(step * g, 0),
+        slope=folded(newton * g, 0),
+        small=miss <= of.slack * jnp.maximum(max(1e-13, 32 * eps) * size, rounding),
+        fine=jnp.isfinite(value) & folded(jnp.isfinite(newton), 0, by=jnp.logical_and),
+        over=functools.reduce(jnp.logical_or, over) & ~cold if over else jnp.zeros_like(cold),
+    )
+
+
+def _any(marks: jax.Array) -> jax.Array:
+    return folded(marks, *range(marks.ndim - 1), by=jnp.logical_or)
 
 
 def _most(*values: jax.Array) -> jax.Array:

@@ -18,7 +18,7 @@ from rvjax.errors import RVErrors
 from rvjax.loaded.conditions import Conditions, ways
 from rvjax.loaded.equilibrium import error_alone
 from rvjax.loaded.head import effects_of_a_head
-from rvjax.loaded.inputs import check_input
+from rvjax.loaded.kinds import check_input
 from rvjax.loaded.system import Layout
 from rvjax.outputs import Observation, Spectrum
 from rvjax.records import Array, PyTree, Scalar

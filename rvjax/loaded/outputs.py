@@ -19,7 +19,8 @@ from rvjax.loaded.cases import cases
 from rvjax.loaded.clearance import clearance
 from rvjax.loaded.conditions import Conditions, ways
 from rvjax.loaded.equilibrium import equilibrium
-from rvjax.loaded.inputs import check_input, check_teeth
+from rvjax.loaded.inputs import check_teeth
+from rvjax.loaded.kinds import check_input
 from rvjax.loaded.observation import CURVE, LOOP
 from rvjax.loaded.revolution import Revolution
 from rvjax.loaded.sources import HALF, PROBE, RATED, SLIGHT, second_turn, turn, turns_of, unloaded_turn

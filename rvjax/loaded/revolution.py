@@ -7,8 +7,8 @@ from rvjax._jax.compile_cache import quick
 from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
-from rvjax.loaded.inputs import admit, check_input
 from rvjax.loaded.instants import Instants, instants
+from rvjax.loaded.kinds import admit, check_input
 from rvjax.loaded.system import Layout
 from rvjax.records import Array, Record, Scalar, field, record
 from rvjax.status import SolveInfo, succeeded, worst_of

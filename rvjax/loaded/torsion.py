@@ -1,7 +1,6 @@
 """Torque-angle curve of a whole reducer, with backlash and lost motion as makers measure them."""
 
 from collections.abc import Sequence
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -10,8 +9,8 @@ from rvjax._jax.compile_cache import quick
 from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
-from rvjax.loaded.equilibrium import Case, placed, prepare, solve
-from rvjax.loaded.inputs import Read, admit, check_input
+from rvjax.loaded.case import placed, solve, turned
+from rvjax.loaded.kinds import admit, check_input, prepare
 from rvjax.loaded.newton import Found
 from rvjax.loaded.system import Layout
 from rvjax.records import Array, Record, Scalar, field, record
@@ -130,9 +129,12 @@ def twisted(
 
     cold = jnp.full((2, layout.unknowns), jnp.nan, sides.dtype)
     found, infos = solved(jax.lax.scan(lower, cold, sizes)[1])
-    torque = sizes[:, None] * sides[None]
-    of_one = partial(_angle, layout, read, case)
-    error = jax.vmap(jax.vmap(of_one))(torque, found, infos.status)  # (n, 2)
+
+    def angle(torque: jax.Array, found: Found, status: jax.Array) -> jax.Array:
+        loaded = case.loaded(torque)
+        return turned(layout, loaded, placed(layout, loaded, found, status))
+
+    error = jax.vmap(jax.vmap(angle))(sizes[:, None] * sides[None], found, infos.status)  # (n, 2)
     whole = worst_of(infos)
     return jnp.where(succeeded(whole.status), error, jnp.nan), whole.replace(steps=jnp.sum(infos.steps))
 
@@ -140,8 +142,3 @@ def twisted(
 def _ascending(pairs: jax.Array) -> jax.Array:
     """(4, 2) [size falling, sign] in ascending order of the torque, (8,)."""
     return jnp.concatenate([pairs[:, 0], pairs[::-1, 1]])
-
-
-def _angle(layout: Layout, read: Read, case: Case, torque: jax.Array, found: Found, status: jax.Array) -> jax.Array:
-    q = placed(layout, case.loaded(torque), found, status)
-    return q[layout.carried] / read.design.cranks.circle_radius

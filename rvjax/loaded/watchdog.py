@@ -4,153 +4,241 @@ Full steps, until four of them have brought no new lowest energy; then the eleme
 searches the line from there between two slopes.
 """
 
+import itertools
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 
-PATIENCE = 4  # full steps without a new lowest energy
+PATIENCE = 4  # full steps without a new lowest energy; 2 to 8 do equally well
 SEARCHES = 30  # points on a line at most
 
 
-class State(NamedTuple):
-    """State of a block. Numbers and marks are one array each, because a kernel copies every array of a loop."""
+class Best(NamedTuple):
+    """Merit of the best point, each (l,)."""
 
-    q: jax.Array  # (n, l); the last point once an element is not open
-    best: jax.Array  # (n, l)
-    step: jax.Array  # (n, l) Newton's step from the best point
-    lanes: jax.Array  # (10, l) numbers of `Lane`
-    marks: jax.Array  # (10, l) and its counts and marks
+    energy: jax.Array  # inf: there is none yet
+    slope: jax.Array  # of the energy along Newton's step from there, < 0
 
 
-class Lane(NamedTuple):
-    """Each (l,). The bracket: shares of the step from the best point, and slopes there, < 0 at its lower end."""
+class Line(NamedTuple):
+    """Bracket on Newton's step from the best point: shares of the step and slopes there, < 0 at the lower end."""
 
-    lowest: jax.Array  # energy at the best point
-    descent: jax.Array  # slope there along the step, < 0
-    first: jax.Array  # slope after the full step
+    full_slope: jax.Array  # after the full step
     lower: jax.Array
     lower_slope: jax.Array
     upper: jax.Array
     upper_slope: jax.Array
-    share: jax.Array  # of the step, now
-    residual: jax.Array
-    largest: jax.Array
+    share: jax.Array  # of the next point
+
+
+class Reached(NamedTuple):
+    """Values of the last point for the result."""
+
+    residual: jax.Array  # gradient over the largest force
+    largest: jax.Array  # force on a disc
+
+
+class Counts(NamedTuple):
+    """Integers."""
+
     stall: jax.Array  # points since the best
     steps: jax.Array
-    searching: jax.Array  # from here on marks
-    cold: jax.Array  # before the linear step
-    given: jax.Array  # at a start that was given
-    open: jax.Array
+
+
+class Phase(NamedTuple):
+    """Marks: what the next point is."""
+
+    searching: jax.Array  # a point of the line
+    cold: jax.Array  # zero, before the linear step
+    given: jax.Array  # a start that was given
+    open: jax.Array  # there is one
     better: jax.Array  # the last point is the best
+
+
+class End(NamedTuple):
+    """Marks of the result."""
+
     converged: jax.Array
-    overload: jax.Array
+    overload: jax.Array  # a pin or joint beyond its contact law
     finite: jax.Array
 
 
-class Judged(NamedTuple):
-    """Merit of a point, each (l,)."""
+class Element(NamedTuple):
+    """All of a batch element but its displacements, each (l,)."""
 
-    value: jax.Array  # energy
+    best: Best
+    line: Line
+    reached: Reached
+    counts: Counts
+    phase: Phase
+    end: End
+
+
+_NUMBERS, _INTEGERS = (Best, Line, Reached), (Counts, Phase, End)  # rows of the two arrays of a state, in this order
+
+
+class State(NamedTuple):
+    """State of a block. An `Element` is packed in two arrays, because a kernel copies every array of a loop."""
+
+    q: jax.Array  # (n, l); the last point once an element is not open
+    best: jax.Array  # (n, l)
+    step: jax.Array  # (n, l) Newton's step from the best point
+    numbers: jax.Array  # (10, l)
+    integers: jax.Array  # (10, l)
+
+    @property
+    def open(self) -> jax.Array:
+        """Mark of each element (l,) that has not ended."""
+        return _mark(self.integers, "open")
+
+    @property
+    def cold(self) -> jax.Array:
+        """Mark of each element (l,) before the linear step."""
+        return _mark(self.integers, "cold")
+
+
+def _mark(integers: jax.Array, name: str) -> jax.Array:
+    """One of the marks of `Phase`, without the other rows."""
+    return integers[len(Counts._fields) + Phase._fields.index(name)] != 0
+
+
+class Merit(NamedTuple):
+    """Values at a point, each (l,)."""
+
+    energy: jax.Array
     miss: jax.Array  # largest component of the gradient
     size: jax.Array  # largest force
-    largest: jax.Array  # force of a pin
+    largest: jax.Array  # force on a disc
     along: jax.Array  # slope along the step from the best point
-    descent: jax.Array  # and along Newton's step from here
+    slope: jax.Array  # and along Newton's step from here
     small: jax.Array  # the gradient is
     fine: jax.Array  # all is finite
-    over: jax.Array  # a pin is beyond its contact law
+    over: jax.Array  # a pin or joint is beyond its contact law
 
 
-_NUMBERS, _COUNTS = 10, 12  # of the fields of `Lane`: where counts begin, and marks
+def begun(q: jax.Array, seated: jax.Array, warm: jax.Array, cold: jax.Array, steps: jax.Array) -> State:
+    """State before the first step.
 
-
-def fresh(lanes: int, dtype: DTypeLike) -> Lane:
-    """State before the first step: all zero, no energy yet."""
-    lane = Lane(*[jnp.zeros((lanes,), dtype)] * _NUMBERS, *[jnp.zeros((lanes,), bool)] * (len(Lane._fields) - _NUMBERS))
-    return lane._replace(lowest=lane.lowest + jnp.inf)
-
-
-def packed(lane: Lane, dtype: DTypeLike) -> tuple[jax.Array, jax.Array]:
-    """Numbers, and counts with marks, of `lane`."""
-    lanes = lane.open.shape
-    numbers = [jnp.broadcast_to(x, lanes).astype(dtype) for x in lane[:_NUMBERS]]
-    return jnp.stack(numbers), jnp.stack([jnp.broadcast_to(x, lanes).astype(jnp.int32) for x in lane[_NUMBERS:]])
-
-
-def unpacked(numbers: jax.Array, marks: jax.Array) -> Lane:
-    """Inverse of `packed`."""
-    counts = _COUNTS - _NUMBERS
-    return Lane(*numbers, *marks[:counts], *(marks[counts:] != 0))
-
-
-def is_open(state: State) -> jax.Array:
-    """Mark of each element (l,) that has not ended."""
-    return unpacked(state.lanes, state.marks).open
-
-
-def decided(numbers: jax.Array, marks: jax.Array, at: Judged, limit: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Numbers and marks of every element after a point, from those before it."""
-    last = unpacked(numbers, marks)
-    live, cold = last.open, last.cold
-    usable = at.fine & ~at.over
-    again = last.given & ~usable  # a given start beyond the contact law of a pin: the linear one instead
-    done = usable & at.small & ~cold
-    lower = usable & (at.value < last.lowest)
-    slope = jnp.where(usable, at.along, jnp.inf)
-    flat = jnp.abs(slope) <= 0.1 * jnp.abs(last.descent)
-    exhausted = last.stall >= PATIENCE + SEARCHES
-    better = ~cold & jnp.where(last.searching, (flat & (lower | (slope <= 0))) | exhausted, lower)
-    first = jnp.where(last.stall == 0, slope, last.first)
-    stall = jnp.where(better | cold | again, 0, last.stall + 1)
-    enters = ~better & ~again & ~last.searching & ((stall >= PATIENCE) | (~usable & ~cold))
-
-    down = slope < 0
-    begin = jnp.where(enters, 0, jnp.where(down, last.share, last.lower))
-    begin_slope = jnp.where(enters, last.descent, jnp.where(down, slope, last.lower_slope))
-    end = jnp.where(enters, 1, jnp.where(down, last.upper, last.share))
-    end_slope = jnp.where(enters, first, jnp.where(down, last.upper_slope, slope))
-    bracketed = jnp.isfinite(end_slope) & (end_slope > 0)
-    rise = jnp.where(bracketed, end_slope - begin_slope, 1)
-    secant = jnp.where(bracketed, jnp.clip(-begin_slope / rise, 0.05, 0.95), 0.25)
-
-    failed = jnp.isinf(last.lowest) & ~usable & ~cold & ~again
-    steps = last.steps + (~(done | cold | last.searching)).astype(jnp.int32)
-    lane = Lane(
-        lowest=jnp.where(better, at.value, last.lowest),
-        descent=jnp.where(better, at.descent, last.descent),
-        first=first,
-        lower=begin,
-        lower_slope=begin_slope,
-        upper=end,
-        upper_slope=end_slope,
-        share=begin + (end - begin) * secant,
-        residual=jnp.where(live, at.miss / jnp.where(at.size > 0, at.size, 1), last.residual),
-        largest=jnp.where(live, at.largest, last.largest),
-        stall=stall,
-        steps=jnp.where(live, steps, last.steps),
-        searching=~better & (last.searching | enters),
-        cold=again,
-        given=jnp.zeros_like(again),
-        open=live & ~done & ~failed & (steps < limit),
-        better=better,
-        converged=jnp.where(live, done, last.converged),
-        overload=jnp.where(live, (last.overload | at.over) & ~done & ~again, last.overload),
-        finite=jnp.where(live, at.fine | at.over | ~failed, last.finite),
+    Args:
+        q: first point (n, l).
+        seated: (l,) there is a case.
+        warm: (l,) its start was given.
+        cold: (l,) it begins with the linear step.
+        steps: (l,) of rounds before.
+    """
+    zero, no = jnp.zeros(seated.shape, q.dtype), jnp.zeros(seated.shape, bool)
+    element = Element(
+        best=Best(zero + jnp.inf, zero),
+        line=Line(*[zero] * len(Line._fields)),
+        reached=Reached(zero, zero),
+        counts=Counts(jnp.zeros(seated.shape, jnp.int32), steps),
+        phase=Phase(searching=no, cold=cold, given=warm, open=seated, better=no),
+        end=End(no, no, no),
     )
-    return packed(lane, numbers.dtype)
+    return State(q, q, jnp.zeros_like(q), *packed(element, q.dtype))
+
+
+def packed(element: Element, dtype: DTypeLike) -> tuple[jax.Array, jax.Array]:
+    """Numbers, and integers with marks, of an element."""
+    size, first = element.phase.open.shape, len(_NUMBERS)
+    numbers = [jnp.broadcast_to(x, size).astype(dtype) for x in itertools.chain(*element[:first])]
+    return jnp.stack(numbers), jnp.stack(
+        [jnp.broadcast_to(x, size).astype(jnp.int32) for x in itertools.chain(*element[first:])]
+    )
+
+
+def unpacked(numbers: jax.Array, integers: jax.Array) -> Element:
+    """Inverse of `packed`."""
+    counts = len(Counts._fields)
+    rows = itertools.chain(numbers, integers[:counts], integers[counts:] != 0)
+    groups = (cls(*itertools.islice(rows, len(cls._fields))) for cls in (*_NUMBERS, *_INTEGERS))
+    return Element(*groups)  # type: ignore[arg-type]
+
+
+def decided(numbers: jax.Array, integers: jax.Array, at: Merit, limit: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Numbers and integers of every element after a point, from those before it.
+
+    Args:
+        numbers: of the state.
+        integers: of the state.
+        at: the point.
+        limit: steps at most.
+    """
+    last = unpacked(numbers, integers)
+    best, phase, stall = last.best, last.phase, last.counts.stall
+    live, cold, searching = phase.open, phase.cold, phase.searching
+    usable = at.fine & ~at.over
+    again = phase.given & ~usable  # a given start beyond the contact law of a pin: the linear one instead
+    done = usable & at.small & ~cold
+    failed = jnp.isinf(best.energy) & ~usable & ~cold & ~again
+
+    # A full step is better where the energy is the lowest. A point of the line is where its slope is small, too.
+    lower = usable & (at.energy < best.energy)
+    slope = jnp.where(usable, at.along, jnp.inf)
+    flat = jnp.abs(slope) <= 0.1 * jnp.abs(best.slope)
+    exhausted = stall >= PATIENCE + SEARCHES
+    better = ~cold & jnp.where(searching, (flat & (lower | (slope <= 0))) | exhausted, lower)
+    full_slope = jnp.where(stall == 0, slope, last.line.full_slope)
+    stall = jnp.where(better | cold | again, 0, stall + 1)
+    enters = ~better & ~again & ~searching & ((stall >= PATIENCE) | (~usable & ~cold))
+    steps = last.counts.steps + (~(done | cold | searching)).astype(jnp.int32)  # points of a line are none
+    element = Element(
+        best=Best(jnp.where(better, at.energy, best.energy), jnp.where(better, at.slope, best.slope)),
+        line=_narrowed(last, slope, full_slope, enters),
+        reached=Reached(
+            residual=jnp.where(live, at.miss / jnp.where(at.size > 0, at.size, 1), last.reached.residual),
+            largest=jnp.where(live, at.largest, last.reached.largest),
+        ),
+        counts=Counts(stall, jnp.where(live, steps, last.counts.steps)),
+        phase=Phase(
+            searching=~better & (searching | enters),
+            cold=again,
+            given=jnp.zeros_like(again),
+            open=live & ~done & ~failed & (steps < limit),
+            better=better,
+        ),
+        end=End(
+            converged=jnp.where(live, done, last.end.converged),
+            overload=jnp.where(live, (last.end.overload | at.over) & ~done & ~again, last.end.overload),
+            finite=jnp.where(live, at.fine | at.over | ~failed, last.end.finite),
+        ),
+    )
+    return packed(element, numbers.dtype)
+
+
+def _narrowed(last: Element, slope: jax.Array, full_slope: jax.Array, enters: jax.Array) -> Line:
+    """The bracket after a point of the given slope: the whole step where the search begins there."""
+    line = last.line
+    down = slope < 0
+    lower = jnp.where(enters, 0, jnp.where(down, line.share, line.lower))
+    lower_slope = jnp.where(enters, last.best.slope, jnp.where(down, slope, line.lower_slope))
+    upper = jnp.where(enters, 1, jnp.where(down, line.upper, line.share))
+    upper_slope = jnp.where(enters, full_slope, jnp.where(down, line.upper_slope, slope))
+    bracketed = jnp.isfinite(upper_slope) & (upper_slope > 0)
+    rise = jnp.where(bracketed, upper_slope - lower_slope, 1)
+    secant = jnp.where(bracketed, jnp.clip(-lower_slope / rise, 0.05, 0.95), 0.25)
+    return Line(full_slope, lower, lower_slope, upper, upper_slope, lower + (upper - lower) * secant)
 
 
 def onward(
-    last: State, newton: jax.Array, numbers: jax.Array, marks: jax.Array
+    last: State, newton: jax.Array, numbers: jax.Array, integers: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Next point of every open element, its best point and the step from there; the final point once it has ended."""
-    lane = unpacked(numbers, marks)
-    best, step = (jnp.where(lane.better[None], new, old) for new, old in ((last.q, last.best), (newton, last.step)))
+    """Next point of every open element, its best point and the step from there; the final point once it has ended.
+
+    Args:
+        last: the state before.
+        newton: Newton's step from its point (n, l).
+        numbers: after that point.
+        integers: after that point.
+    """
+    element = unpacked(numbers, integers)
+    phase = element.phase
+    best, step = (jnp.where(phase.better[None], new, old) for new, old in ((last.q, last.best), (newton, last.step)))
     whole = last.q + newton
     # Without a best point there is no finite energy: such an element has failed.
-    ended = jnp.where(lane.converged[None], whole, jnp.where(jnp.isinf(lane.lowest)[None], 0, best))
-    point = jnp.where(lane.searching[None], best + lane.share[None] * step, whole)
-    point = jnp.where(lane.cold[None], 0, point)
-    return jnp.where(is_open(last)[None], jnp.where(lane.open[None], point, ended), last.q), best, step
+    ended = jnp.where(element.end.converged[None], whole, jnp.where(jnp.isinf(element.best.energy)[None], 0, best))
+    point = jnp.where(phase.searching[None], best + element.line.share[None] * step, whole)
+    point = jnp.where(phase.cold[None], 0, point)
+    return jnp.where(last.open[None], jnp.where(phase.open[None], point, ended), last.q), best, step

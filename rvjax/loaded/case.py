@@ -1,0 +1,88 @@
+"""One case between the numbers that are read and the results of an equilibrium."""
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rvjax.loaded.balance import attach, balance
+from rvjax.loaded.inputs import Read
+from rvjax.loaded.newton import Found
+from rvjax.loaded.system import Layout, System
+from rvjax.status import SolveInfo, Status, succeeded
+
+
+class Case(NamedTuple):
+    """One system, and what its results are derived with."""
+
+    system: System
+    lever: jax.Array  # (d, p) m, of a pin about the centre of its disc
+    pressure: jax.Array  # (d, p) Pa / sqrt(N)
+    length: jax.Array  # () m: the first common unknown over the rotation of the output
+
+    def loaded(self, torque: jax.Array) -> "Case":
+        """The same parts, whose load is that of 1 N m, under `torque`, () N m."""
+        return self._replace(system=self.system._replace(load=torque * self.system.load))
+
+
+class Named(NamedTuple):
+    """Forces by their names in the results, N, and the torque on the input; None where a kind has none."""
+
+    disc_bearing: jax.Array  # (d, c, 2) crank on disc
+    support_bearing: jax.Array  # (c, 2) crank on carrier
+    gear: jax.Array | None  # (c,) driving less coasting flank
+    input_torque: jax.Array  # () N m
+
+
+def solve(layout: Layout, read: Read, case: Case, start: jax.Array) -> tuple[Found, SolveInfo]:
+    """Minimum of the energy of a case, without derivatives, and its status; input that failed a check costs no step.
+
+    Args:
+        layout: counts and methods.
+        read: finite and possible numbers.
+        case: the case.
+        start: (n,), or NaN: the linear step.
+    """
+    found = balance(layout, case.system, jnp.where(read.gate.good, start, jnp.inf))
+    return found, _status(read, case, found)
+
+
+def _status(read: Read, case: Case, found: Found) -> SolveInfo:
+    """Status, steps and residual of the solve of a case.
+
+    A torque so small that the centring springs carry it inside the clearances loads no contact. The forces are
+    undetermined where the rounding of the gaps, times the stiffest spring, is not small compared with all forces.
+    """
+    faint = math.sqrt(float(jnp.finfo(found.residual.dtype).eps))
+    idle = (case.system.load == 0) & (found.largest <= case.system.centring * read.design.cycloid.pin_radius)
+    idle |= (found.largest <= faint * jnp.abs(case.system.load)) | (found.residual > faint)
+    ended = SolveInfo(jnp.where(idle, jnp.int32(int(Status.UNLOADED)), 0), found.steps, found.residual)
+    return read.gate.close(
+        (),
+        (~found.finite, Status.NONFINITE),
+        (found.overload & ~found.converged, Status.CONTACT_OVERLOAD),
+        (~found.converged, Status.MAX_STEPS),
+        info=ended,
+    )[1]
+
+
+def placed(layout: Layout, case: Case, found: Found, status: jax.Array) -> jax.Array:
+    """Displacements (n,) with the derivatives of the equilibrium; zero where it failed."""
+    return attach(layout, case.system, jnp.where(succeeded(status), found.q, 0))
+
+
+def turned(layout: Layout, case: Case, q: jax.Array) -> jax.Array:
+    """Rotation of the output against the ideal motion, () rad."""
+    return q[layout.carried] / case.length
+
+
+def pressures(case: Case, pins: jax.Array) -> jax.Array:
+    """Largest Hertzian pressure of each pin under its force, (d, p) Pa. Eq. 24.
+
+    Args:
+        case: of the same angle.
+        pins: forces (d, p) N.
+    """
+    pressed = pins > 0
+    return jnp.where(pressed, case.pressure * jnp.sqrt(jnp.where(pressed, pins, 1)), 0)

@@ -1,0 +1,107 @@
+"""Kinds of reducers under load: one table, and what every equilibrium begins with."""
+
+from typing import Protocol
+
+import jax
+
+from rvjax._ground.choices import choose
+from rvjax.designs import RVReducer, expect
+from rvjax.errors import RVErrors
+from rvjax.loaded import laws, rv
+from rvjax.loaded.balance import Forces
+from rvjax.loaded.case import Case, Named
+from rvjax.loaded.inputs import SUPPORTS, Read, check_teeth
+from rvjax.loaded.system import Layout
+from rvjax.records import Scalar
+from rvjax.status import SolveInfo
+
+
+class Kind(Protocol):
+    """Functions of the module of a kind of reducer; the arguments are those of `rv`."""
+
+    def layout(self, design: RVReducer, errors: RVErrors, contact: str, carrier: str, sun: str) -> Layout:
+        """Bodies and contacts, with an error for shapes that do not fit."""
+
+    def admit(self, layout: Layout, design: RVReducer, errors: RVErrors, torque: Scalar, angle: Scalar) -> Read:
+        """The numbers that are read, harmless ones in the place of impossible ones."""
+
+    def prepare(self, layout: Layout, read: Read, input_angle: jax.Array) -> Case:
+        """Geometry, springs and gaps of one input angle; `load` is that of 1 N m."""
+
+    def named(self, layout: Layout, read: Read, forces: Forces) -> Named:
+        """The forces by their names in the results."""
+
+    def fit(
+        self, samples: int, turns: float, design: RVReducer, errors: RVErrors
+    ) -> tuple[tuple[jax.Array, jax.Array], SolveInfo]:
+        """Least clearance without load, of all angles () and of each (n,)."""
+
+
+KINDS: dict[type, Kind] = {RVReducer: rv}
+
+
+def kind_of(design: RVReducer) -> Kind:
+    """The module of a design's kind."""
+    return next(kind for cls, kind in KINDS.items() if isinstance(design, cls))
+
+
+def check_input(design: RVReducer, errors: RVErrors, contact: str, carrier: str, sun: str) -> Layout:
+    """The layout of this call.
+
+    Args:
+        design: as in `equilibrium`.
+        errors: likewise.
+        contact: likewise.
+        carrier: likewise.
+        sun: likewise.
+
+    Raises:
+        ValueError: see `equilibrium`.
+    """
+    expect(design, "loaded", *KINDS)
+    for name, value, known in (
+        ("contact", contact, laws.CONTACTS),
+        ("carrier", carrier, SUPPORTS),
+        ("sun", sun, SUPPORTS),
+    ):
+        choose(name, value, known)
+    for name in ("stiffness", "contact"):
+        if getattr(design, name) is None:
+            raise ValueError(f"{type(design).__name__}.{name} = None: the loaded equilibrium needs it")
+    check_teeth(design.cycloid)
+    return kind_of(design).layout(design, errors, contact, carrier, sun)
+
+
+def admit(layout: Layout, design: RVReducer, errors: RVErrors, torque: Scalar, angle: Scalar) -> Read:
+    """Check the numbers that are read.
+
+    Args:
+        layout: counts and methods.
+        design: the reducer.
+        errors: of its parts.
+        torque: () N m.
+        angle: () rad.
+    """
+    return kind_of(design).admit(layout, design, errors, torque, angle)
+
+
+def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
+    """Geometry, springs and gaps of one input angle; `load` is that of 1 N m.
+
+    Args:
+        layout: counts and methods.
+        read: finite and possible numbers.
+        input_angle: () rad.
+    """
+    return kind_of(read.design).prepare(layout, read, input_angle)
+
+
+def named(layout: Layout, read: Read, forces: Forces) -> Named:
+    """The forces by their names in the results.
+
+    Args:
+        layout: counts and methods.
+        read: finite and possible numbers.
+        forces: of all contacts.
+    """
+    return kind_of(read.design).named(layout, read, forces)
