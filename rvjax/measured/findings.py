@@ -71,14 +71,14 @@ def _drift(judged: Judged) -> Iterator[Finding]:
         if atom.kind == "drift":
             per_turn, own = size / turns, sd / turns
             share = abs(per_turn) / (2 * math.pi)
-            text = f"+- {own / arcsec:.2g} arcsec per revolution, not in the table"
+            text = f"+- {own / arcsec:.2g} arcsec per revolution, taken off before the fit"
             wrong = f"; a ratio that is wrong by {share:.2g} of its value gives such a drift"
             yield Finding("drift per revolution", per_turn, "rad", text + wrong, True)
         elif atom.kind == "warm-up":
-            text = f"approached with an angle constant of {atom.at / deg:.3g} deg, not in the table"
+            text = f"approached with an angle constant of {atom.at / deg:.3g} deg, taken off before the fit"
             yield Finding("warm-up", size, "rad", text, True)
         else:
-            place = f"at {model.angle[int(atom.at)] / deg:.5g} deg (row {judged.rows[int(atom.at)]}), not in the table"
+            place = f"at {model.angle[int(atom.at)] / deg:.5g} deg (row {judged.rows[int(atom.at)]}), taken off before the fit"
             yield Finding("step", size, "rad", place, True)
 
 
