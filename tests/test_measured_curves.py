@@ -281,3 +281,17 @@ def test_rows_in_no_order_are_one_turn():
     angle = np.random.default_rng(5).permutation(equal(720))
     judged, _, stored, rest = evaluated(np.unwrap(angle, period=360), curve(angle * deg) + noise(720))
     assert stored == [39, 40, 78] and rest < 0.1 and not judged.found("drift", "step")
+
+
+@pytest.mark.parametrize("points", [12, 24])
+def test_a_drift_over_few_places_is_not_order_1(points):
+    """A wrong ratio gives 300 arcsec per revolution; a real order 1 of the same size is stored."""
+    angle = equal(points)
+    *_, ramp = fit_of(angle, curve(angle * deg) + 300 * angle / 360)
+    assert ramp.found.order[ramp.seen].tolist() == []
+    *_, real = fit_of(angle, curve(angle * deg) + 50 * np.sin(angle * deg))
+    assert real.found.order[real.seen].tolist() == [1]
+
+
+def fit_of(angle, error):
+    return evaluated(angle, error + noise(len(angle)))[:2]

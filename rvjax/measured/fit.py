@@ -9,12 +9,14 @@ import numpy as np
 from rvjax import identify
 from rvjax.identify import Orders
 from rvjax.measured import level
-from rvjax.measured.judge import FASTEST, Judged
+from rvjax.measured.judge import DRIFTS, FASTEST, Judged
 from rvjax.measured.search import LOW
 
 SPARE = 4  # places for every number that is fitted
 WEAK = 3.0  # times the noise of a whole revolution: an order that the stroke does not determine
 APART = 0.3  # distance, over the resolution of the stroke, at which a line and the order of a part are separable
+SLOW = 3  # highest order that resembles a drift
+PLAIN = 6.0  # minus twice the logarithm of the likelihood by which a low order must be better than a drift
 SIDE = 3  # distance of an order from one of a part at which housings and mountings cause orders
 CHANCE = 0.001
 """Chance that at least one of the stored orders is noise."""
@@ -62,6 +64,8 @@ def fitted(judged: Judged, most: int) -> Fitted:
     unsure = {}
     for k in strong:
         why = "the stroke does not determine it" if plain[k] > WEAK * least else doubt(judged, float(orders[k]))
+        if not why and _may_drift(judged, orders[strong], int(orders[k])):
+            why = "it may be a drift"
         if why:
             unsure[int(orders[k])] = why
     seen = np.array([k for k in strong if int(orders[k]) not in unsure], int)
@@ -101,6 +105,21 @@ def _of_drift(judged: Judged, orders: np.ndarray) -> np.ndarray:
         leak = identify.orders(judged.angle, column - column.mean(), orders).value
         variance += np.abs(leak) ** 2 * covariance[0, 0]
     return np.sqrt(variance)
+
+
+def _may_drift(judged: Judged, strong: np.ndarray, order: int) -> bool:
+    """True if a drift explains the curve as well as a low order; few places leave a drift unfound."""
+    if order > SLOW or order in judged.parts.values() or judged.found(*DRIFTS):
+        return False
+    angle, error = judged.angle, judged.error
+    columns = {int(k): [np.cos(k * angle), np.sin(k * angle)] for k in strong}
+    others = [np.ones_like(angle), *(c for k, own in columns.items() if k != order for c in own)]
+
+    def left(more: list[np.ndarray]) -> float:
+        rows = np.stack([*others, *more], axis=1)
+        return float(np.sum((error - rows @ np.linalg.lstsq(rows, error, rcond=None)[0]) ** 2))
+
+    return len(angle) * math.log(max(left([angle]), 1e-300) / max(left(columns[order]), 1e-300)) < PLAIN
 
 
 def doubt(judged: Judged, order: float) -> str:
