@@ -78,7 +78,8 @@ def _drift(judged: Judged) -> Iterator[Finding]:
             text = f"approached with an angle constant of {atom.at / deg:.3g} deg, taken off before the fit"
             yield Finding("warm-up", size, "rad", text, True)
         else:
-            place = f"at {model.angle[int(atom.at)] / deg:.5g} deg (row {judged.rows[int(atom.at)]}), taken off before the fit"
+            row = judged.rows[int(atom.at)]
+            place = f"at {model.angle[int(atom.at)] / deg:.5g} deg (row {row}), taken off before the fit"
             yield Finding("step", size, "rad", place, True)
 
 
