@@ -107,11 +107,11 @@ def drive(design: dict[str, Any], given: dict[str, Any], angle: float) -> Drive:
 
 @dataclass
 class Contacts:
-    """Contacts of one law: depth = gap + rows q."""
+    """Contacts of one kind: depth = gap + rows q."""
 
     rows: Any  # (c, unknowns)
     gap: Any  # (c,)
-    law: str
+    model: str
     compliance: Any  # (c,) c, k or C
     level: Any  # (c,) A
     radius: Any  # (c,) R*
@@ -121,13 +121,13 @@ class Contacts:
         """Force and slope of every contact, energy of all."""
         depth = self.gap + self.rows @ q
         d, c = np.maximum(depth, 0), self.compliance
-        if self.law == "linear":
+        if self.model == "linear":
             return c * d, np.where(depth > 0, c, 0.0), float(np.sum(c * d * d) / 2)
-        if self.law == "palmgren":
+        if self.model == "palmgren":
             force = (d / c) ** (10 / 9)
             slope = np.where(depth > 0, 10 / 9 * force / np.where(d > 0, d, 1), 0)
             return force, slope, float(np.sum(9 / 19 * force * d))
-        most = 0.9 * c * np.exp(self.level - 1)  # beyond it the law goes on as a straight line, in trial steps only
+        most = 0.9 * c * np.exp(self.level - 1)  # beyond it a straight line, in trial steps only
         inside = np.where(depth > 0, np.minimum(d, most), most)
         t = self.level - np.log(inside / c)
         y = t + np.log(t) + 0.1
@@ -236,14 +236,14 @@ def machine(
     for body, depth, radius, r, own in (
         (pins, at.pin_gap, pin_radius, rr, elastic), (holes, at.hole_gap, hole_radius, rw, output),
     ):  # fmt: skip
-        groups.append(law(contact, body.reshape(-1, unknowns), depth, radius, r, elastic, own))
+        groups.append(contacts(contact, body.reshape(-1, unknowns), depth, radius, r, elastic, own))
     return Machine(at, (groups[0], groups[1]), rows, gap, bearing, clearance, weight, torque * at.share)
 
 
-def law(
+def contacts(
     contact: str, rows: Any, gap: Any, radius: Any, pin: float, elastic: dict[str, Any], own: dict[str, Any]
 ) -> Contacts:
-    """Contacts with the numbers of their law; `own` has stiffness and support of the pins concerned."""
+    """Contacts with the coefficients of their model; `own` has stiffness and support of the pins concerned."""
     s1, s2, width = *compliances(elastic), elastic["face_width"]
     support = None if own.get("pin_support") is None else np.broadcast_to(own["pin_support"], gap.shape).ravel()
     level = np.zeros(gap.size)
@@ -282,7 +282,7 @@ def minimise(m: Machine, start: Any = None, steps: int = 2000) -> tuple[Any, boo
         energy, gradient, hessian = m.state(q)
         scale = 1 / np.sqrt(np.diag(hessian))
         force = max(float(group.at(q)[0].max()) for group in m.groups)
-        noise = 4e-16 * max(float(g.compliance.max()) if g.law == "linear" else 1e9 for g in m.groups) * 1e-4
+        noise = 4e-16 * max(float(g.compliance.max()) if g.model == "linear" else 1e9 for g in m.groups) * 1e-4
         if np.abs(scale * gradient).max() <= scale.max() * max(1e-13 * force, noise, 1e-300):
             calm += 1
             if calm == 3:
@@ -344,12 +344,16 @@ def equilibrium(
 
 def fit(design: dict[str, Any], errors: dict[str, Any], angle: float) -> float:
     """Largest least clearance of all pins and holes without load, m: a linear programme over alpha and every beta."""
-    at = drive(design, errors, angle)
+    return fit_of(drive(design, errors, angle))
+
+
+def fit_of(at: Drive) -> float:
+    """Largest least clearance of directions and gaps, m."""
     nd, u = len(at.b), unit(at.b)
     t = -at.centre_gap
     pins = at.pin_gap - np.einsum("kjx,kx->kj", at.normal, t)
     holes = at.hole_gap + np.einsum("kx,kx->k", u, t)[:, None]
-    arm = design["output"]["circle_radius"] * np.sin(at.b[:, None] - at.a[None])
+    arm = at.design["output"]["circle_radius"] * np.sin(at.b[:, None] - at.a[None])
     rows, limits = [], []  # s + depth of the unknowns <= -depth of the gaps; lengths in um, angles in urad
     for k in range(nd):
         for lever, gap, whole in ((at.lever, pins, 0.0), (arm, holes, -1.0)):
