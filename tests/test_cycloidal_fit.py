@@ -112,6 +112,7 @@ def test_a_case_that_cannot_be_has_a_status():
     assert status("cycloid", pin_radius=-1.0) == Status.INVALID_GEOMETRY
     assert status("cycloid", eccentricity=3e-3) == Status.INVALID_GEOMETRY
     assert status("output", hole_clearance=-3.3e-3) == Status.INVALID_GEOMETRY
+    assert status("output", hole_clearance=-2e-3) == Status.CONVERGED  # diametral, and the throw counts twice
     assert status("output", circle_radius=0.0) == Status.INVALID_GEOMETRY
     assert status("output", circle_radius=np.nan) == Status.NONFINITE
     assert clearance(TWO, CycloidalErrors(throw=np.nan)).info.status == Status.NONFINITE
@@ -143,3 +144,12 @@ def test_batches():
         due = [oracle.fit(dictionaries(TWO), errors, angle) for angle in (0.0, -17 * np.pi / 18)]
         np.testing.assert_allclose(mine, due, rtol=0, atol=1e-6 * um)
     assert len(np.unique(found.round(9))) > 3
+
+
+def test_float32_gives_the_same_to_its_rounding():
+    errors = drawn(np.random.default_rng(4), (2, 18, 17, 6), 8 * um)
+    single = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), errors_of(errors))
+    found = clearance(TWO, single, 2)
+    assert found.at.dtype == np.float32
+    due = [oracle.fit(dictionaries(TWO), errors, angle) for angle in (0.0, -17 * np.pi / 18)]
+    np.testing.assert_allclose(found.at, due, rtol=0, atol=0.02 * um)

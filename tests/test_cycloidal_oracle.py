@@ -1,16 +1,14 @@
 """The independent model of the single-stage drive: reference cases, closed forms, invariants of the energy."""
 
 import copy
-import json
-from pathlib import Path
 
 import numpy as np
 import pytest
+from cycloidal_cases import CASES, NAMED, dictionaries
 
 from oracles import cycloidal as oracle
+from rvjax import catalogue
 
-CASES = json.loads((Path(__file__).parent / "reference" / "single_stage.json").read_text())["cases"]
-NAMED = {case["name"]: case for case in CASES}
 SOLVED = [case for case in CASES if case["kind"] == "equilibrium" and len(case["expect"]) > 1]
 ARCMIN = np.pi / 180 / 60
 
@@ -89,6 +87,45 @@ def test_the_table_of_one_disc(name):
     pins, holes = found["pins"][0], found["output_pins"][0]
     own = [*along @ [x, y] * 1e6, pins.max(), np.sum(pins > 0), holes.max(), np.sum(holes > 0)]
     np.testing.assert_allclose([*own, *along @ found["disc_bearing"][0, 0]], rest, rtol=0, atol=6e-5)
+
+
+FREE = {(10, 0, 0): 3.1368, (0, 0, 25): 5.6641, (10, 10, 25): 12.3116, (20, 10, 25): 15.5348}
+"""Backlash, arcmin, of a scan of all positions: clearance of flank, bearing and holes (radial), um."""
+
+
+@pytest.mark.parametrize("clearances", FREE)
+def test_the_backlash_is_that_of_a_scan_of_all_positions(clearances):
+    """At a torque too small for deflections, too large for centring springs; the closed form has pins everywhere."""
+    flank, bearing, hole = (1e-6 * each for each in clearances)
+    design, b = v17(1e8, flank=flank, hole=hole), 0.12 * 18 / 17
+    minus, plus = (solve(design, torque, 0.12, bearing_clearance=bearing)["error"] for torque in (-1e-3, 1e-3))
+    assert (minus - plus) / ARCMIN == pytest.approx(FREE[clearances], rel=1e-3)
+    s = np.linspace(0, min(bearing, flank), 2001)
+    most = np.max(np.abs(np.sin(b - 2 * np.pi * np.arange(6) / 6)))
+    turned = (np.sqrt(bearing**2 - s**2) + np.sqrt(flank**2 - s**2)) / (1.3e-3 * 17)
+    assert minus - plus == pytest.approx(2 * np.max(turned + (hole + s) / (most * 32.9e-3)), rel=1e-2)
+
+
+KNOWN = {  # torque; backlash arcmin, stiffness N m/arcmin, largest pin and hole N, pressure MPa, eccentric N
+    "15": (5.0, 103.348, 1.1465, 104.28, 83.33, 63.3, 37.0, 141.5),
+    "17": (8.8, 23.916, 6.4845, 163.66, 136.22, 490.6, 249.6, 223.0),
+    "29": (116.0, 2.984, 118.91, 378.89, 1977.1, 835.9, 390.7, 1855.1),
+}
+
+
+@pytest.mark.parametrize("lobes", KNOWN)
+def test_the_known_drives(lobes):
+    """Without errors: 12 angles over a crank turn for the largest values, input angle 0 for the others."""
+    torque, *due = KNOWN[lobes]
+    design, zc = dictionaries(getattr(catalogue, f"CYCLOIDAL_{lobes}")), int(lobes)
+    error = {share: solve(design, share * torque, 0.0, "hertz")["error"] for share in (-1e-3, 1e-3, 0.5, 1.0)}
+    angles = -zc * 2 * np.pi / (zc + 1) * np.arange(12) / 12
+    found = [solve(design, torque, angle, "hertz") for angle in angles]
+    names = ("pins", "output_pins", "pressure", "output_pressure")
+    own = [max(each[name].max() for each in found) for name in names]
+    force = max(np.linalg.norm(each["disc_bearing"], axis=-1).max() for each in found)
+    mine = [(error[-1e-3] - error[1e-3]) / ARCMIN, 0.5 * torque / (error[0.5] - error[1.0]) * ARCMIN, *own, force]
+    np.testing.assert_allclose(np.array(mine) / [1, 1, 1, 1, 1e6, 1e6, 1], due, rtol=1e-3)
 
 
 def test_two_discs_at_twice_the_torque_are_as_one():
