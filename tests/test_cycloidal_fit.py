@@ -119,7 +119,7 @@ def test_a_case_that_cannot_be_has_a_status():
 
 
 def test_what_does_not_fit_together_is_an_error():
-    with pytest.raises(ValueError, match="takes errors of kind CycloidalErrors, got RVErrors"):
+    with pytest.raises(ValueError, match="takes CycloidalErrors, got RVErrors"):
         clearance(TWO, RVErrors())
     with pytest.raises(ValueError, match="takes a design of kind CycloidalReducer, got RVReducer"):
         clearance(RV_40E, RVErrors())

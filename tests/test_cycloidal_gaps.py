@@ -1,4 +1,6 @@
-"""Depths of pins and holes, offsets of the bearings and their rows, against the independent model."""
+"""Depths of pins and holes, bearings, rows and contact laws of a single-stage drive, against the independent model."""
+
+import functools
 
 import jax
 import numpy as np
@@ -6,8 +8,10 @@ import pytest
 from cycloidal_cases import NAMED, design_of, dictionaries, drawn, errors_of
 
 from oracles import cycloidal as oracle
-from rvjax import CycloidalErrors
+from rvjax import CycloidalErrors, RVErrors
+from rvjax.loaded.cycloidal_contacts import drive_laws
 from rvjax.loaded.cycloidal_gaps import Unknowns, drive_at, drive_gaps, drive_rows
+from rvjax.loaded.cycloidal_inputs import check_drive
 from rvjax.units import um
 
 TWO = design_of(NAMED["c17: fit, errors"]["design"])
@@ -69,3 +73,59 @@ def test_a_longer_eccentricity_closes_every_hole():
     np.testing.assert_allclose(at_rest.holes, -35 * um, rtol=1e-12)
     np.testing.assert_allclose(longer.holes, -32 * um, rtol=1e-12)
     np.testing.assert_allclose(longer.pins, at_rest.pins, rtol=1e-12)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def numbers(law, design, angle):
+    return drive_laws(law, design, drive_at(design, design.cycloid.eccentricity, angle))
+
+
+@pytest.mark.parametrize("law", ["hertz", "linear", "palmgren"])
+@pytest.mark.parametrize("name", DRIVES)
+def test_the_contact_laws_are_those_of_the_independent_model(name, law):
+    """Two materials and one; a support at every pin, another at every output pin."""
+    design, _, _ = DRIVES[name]
+    pins, holes = (np.linspace(1e8, 3e8, design.counts[axis]) for axis in ("pins", "output_pins"))
+    design = design.replace(
+        contact=design.contact.replace(pin_support=pins), output=design.output.replace(pin_support=holes)
+    )
+    for softer in (design, DRIVES[name][0]):
+        due = oracle.machine(dictionaries(softer), {}, 0.7, 0.0, law)
+        for found, own in zip(numbers(law, softer, 0.7), due.groups):
+            shape = (design.cycloid.disc_count, len(own.gap) // design.cycloid.disc_count)
+            pairs = [(found.compliance, own.compliance), (found.radius, own.radius)]
+            pairs += [(found.level, own.level)] if law == "hertz" else []
+            for mine, theirs in pairs:
+                np.testing.assert_allclose(np.broadcast_to(mine, shape).ravel(), theirs, rtol=1e-11)
+
+
+LINEAR = {"contact": "linear"}
+REFUSED = {
+    "takes CycloidalErrors, got RVErrors": (TWO, RVErrors(), {}),
+    "CycloidalReducer.stiffness = None": (TWO.replace(stiffness=None), CycloidalErrors(), {}),
+    "CycloidalReducer.contact = None": (TWO.replace(contact=None), CycloidalErrors(), {}),
+    "Contact.pin_stiffness = None": (
+        TWO.replace(contact=TWO.contact.replace(pin_stiffness=None)), CycloidalErrors(), LINEAR,
+    ),
+    "OutputPins.pin_stiffness = None": (
+        TWO.replace(output=TWO.output.replace(pin_stiffness=None)), CycloidalErrors(), LINEAR,
+    ),
+    "sun = 'floating': .*shaft_support": (TWO, CycloidalErrors(), {"sun": "floating"}),
+    "contact = 'point'": (TWO, CycloidalErrors(), {"contact": "point"}),
+    "carrier = 'loose'": (TWO, CycloidalErrors(), {"carrier": "loose"}),
+    "CycloidalErrors.hole_position: shape": (TWO, CycloidalErrors(hole_position=np.zeros((2, 4, 2))), {}),
+    "OutputPins.pin_support: shape": (
+        TWO.replace(output=TWO.output.replace(pin_support=np.ones(5))), CycloidalErrors(), {},
+    ),
+    "CycloidalStiffness.eccentric_bearing: shape": (
+        TWO.replace(stiffness=TWO.stiffness.replace(eccentric_bearing=np.ones(3))), CycloidalErrors(), {},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("message", REFUSED)
+def test_what_no_equilibrium_can_be_computed_of_is_named(message):
+    design, errors, methods = REFUSED[message]
+    check_drive(TWO, CycloidalErrors(), "linear", "floating")
+    with pytest.raises(ValueError, match=message):
+        check_drive(design, errors, **{"contact": "hertz", "carrier": "fixed"} | methods)

@@ -9,20 +9,19 @@ the least gap of all pins and holes is largest. At a gap s, the pins of disc k l
 The largest feasible s is the least root of concave falling functions, each exact in a few Newton steps from above.
 """
 
-import dataclasses
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._ground.axes import fit as fits
 from rvjax._jax.compile_cache import quick
 from rvjax._reducer.flank import Ground
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import expect
 from rvjax.loaded.clearance import Clearance, highest
 from rvjax.loaded.cycloidal_gaps import drive_at, drive_gaps
+from rvjax.loaded.cycloidal_inputs import check_errors
 from rvjax.records import promote
 from rvjax.status import Status, admit, converged
 
@@ -56,10 +55,7 @@ def fit(design: CycloidalReducer, errors: CycloidalErrors, *, turns: float | Non
         ValueError: no single-stage drive, an array that does not fit, or samples < 1.
     """
     expect(design, "loaded.clearance", CycloidalReducer)
-    if not isinstance(errors, CycloidalErrors):
-        raise ValueError(f"loaded.clearance: takes errors of kind CycloidalErrors, got {type(errors).__name__}")
-    for f in dataclasses.fields(errors):
-        fits(f"CycloidalErrors.{f.name}", getattr(errors, f.name), f.metadata["shape"], design.counts)
+    check_errors(design, errors)
     if samples < 1:
         raise ValueError(f"samples = {samples}: must be at least 1")
     return _fit(samples, 1 / design.cycloid.pin_count if turns is None else turns, design, errors)
