@@ -2,6 +2,7 @@
 
 All are linear in the displacements, holes too: a norm of the distance of both axes in the holes alone would turn their
 forces while those of the pins keep their directions, and input torque and output torque would no longer balance.
+Equation numbers: docs/models/single_stage.md.
 """
 
 import math
