@@ -1,4 +1,4 @@
-"""Geometry of an RV reducer without errors: curvature of the flank, space between the parts, size, nominal pressure."""
+"""Geometry of a reducer with cycloid discs, without errors: curvature of the flank, space, size, nominal pressure."""
 
 from rvjax._reducer.flank import (
     curvature as curvature,
