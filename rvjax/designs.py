@@ -251,12 +251,6 @@ class RVReducer(Record):
     contact: Contact | None = field("-", "contact of discs and pins", kind="record", default=None)
     bearings: Bearings | None = field("-", "bearings of the cranks", kind="record", default=None)
 
-    def _check(self) -> None:
-        if self.contact is not None and self.contact.pin_young_modulus is not None:
-            raise ValueError(
-                "Contact.pin_young_modulus: the models of an RV reducer do not read pins of another material yet"
-            )
-
     @property
     def ratio(self) -> float:
         """Turns of the sun for one of the carrier, ring of pins at rest: i = 1 + z2 zp / ((zp - zc) z1)."""

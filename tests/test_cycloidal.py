@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rvjax import Contact, CycloidalErrors, CycloidalReducer, CycloidalStiffness, CycloidStage, OutputPins, RVErrors
-from rvjax.catalogue import RV_40E, RV_40E_WHOLE
+from rvjax.catalogue import RV_40E
 from rvjax.errors import STAGES
 from rvjax.units import GPa, mm, um
 
@@ -49,9 +49,6 @@ REFUSED = {
     ),
     "takes a design of kind CycloidalReducer": lambda: CycloidalErrors.for_design(RV_40E),
     "takes a design of kind RVReducer": lambda: RVErrors.for_design(DRIVE),
-    "do not read pins of another material": lambda: RV_40E_WHOLE.replace(
-        contact=RV_40E_WHOLE.contact.replace(pin_young_modulus=206 * GPa, pin_poisson_ratio=0.3)
-    ),
 }
 
 

@@ -11,8 +11,8 @@ from cycloidal_cases import NAMED, design_of, dictionaries, drawn, errors_of
 from oracles import cycloidal as oracle
 from rvjax import CycloidalErrors, RVErrors, Status
 from rvjax.catalogue import RV_40E
-from rvjax.loaded import unchecked
-from rvjax.loaded.fit import fit, largest_gap, lines
+from rvjax.loaded import clearance as fit, unchecked
+from rvjax.loaded.cycloidal_fit import largest_gap, lines
 from rvjax.units import um
 
 TWO = design_of(NAMED["c17: fit, errors"]["design"])

@@ -6,5 +6,6 @@ from rvjax._reducer.flank import (
     relative_radius as relative_radius,
 )
 from rvjax.geometry.figures import Figures, contact_ratio as contact_ratio, figures
+from rvjax.geometry.ring import material as material
 
 __all__ = ["Figures", "figures"]

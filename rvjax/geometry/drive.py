@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.cycloidal import CycloidalReducer
-from rvjax.geometry.ring import Figures, harmless, material, of_ring, root, squared_pressure
+from rvjax.geometry.ring import Figures, harmless, material, of_ring, of_steel, root, squared_pressure
 from rvjax.records import Array, PyTree, Scalar, promote
 from rvjax.status import Status, admit
 
@@ -83,7 +83,5 @@ def largest_share(pins: int) -> float:
 def _harmless(read: PyTree) -> PyTree:
     """A drive that exists, in the place of one that does not."""
     cycloid, output, contact, torque = jax.tree.map(jnp.ones_like, read)
-    if contact is not None:
-        other = None if contact.pin_poisson_ratio is None else 0.3
-        contact = contact.replace(poisson_ratio=0.3, pin_poisson_ratio=other)
+    contact = contact and of_steel(contact)
     return harmless(cycloid), output.replace(circle_radius=0.5, pin_radius=0.1, hole_clearance=0.01), contact, torque

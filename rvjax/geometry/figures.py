@@ -12,7 +12,7 @@ from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import InvoluteStage, RVReducer, expect
 from rvjax.geometry.drive import of_drive
-from rvjax.geometry.ring import Figures as Figures, harmless, material, of_ring
+from rvjax.geometry.ring import Figures as Figures, harmless, material, of_ring, of_steel
 from rvjax.records import Array, PyTree, Scalar, promote
 from rvjax.status import Status, admit
 
@@ -97,7 +97,7 @@ def _harmless(read: PyTree) -> PyTree:
     """A reducer that exists, in the place of one that does not."""
     gears, cycloid, _, contact, *_ = ones = jax.tree.map(jnp.ones_like, read)
     gears = gears.replace(sun_base_radius=0.3, planet_base_radius=0.6, pressure_angle=0.35)
-    return gears, harmless(cycloid), ones[2], contact and contact.replace(poisson_ratio=0.3), *ones[4:]
+    return gears, harmless(cycloid), ones[2], contact and of_steel(contact), *ones[4:]
 
 
 def contact_ratio(gears: InvoluteStage) -> Array:

@@ -186,6 +186,16 @@ def material(contact: Contact | None) -> list[Scalar]:
     return [*own, contact.pin_young_modulus, 1 - contact.pin_poisson_ratio**2]
 
 
+def of_steel(contact: Contact) -> Contact:
+    """A contact of ones with the Poisson ratio of steel.
+
+    Args:
+        contact: ones.
+    """
+    other = contact.pin_poisson_ratio
+    return contact.replace(poisson_ratio=0.3, pin_poisson_ratio=None if other is None else 0.3 * other)
+
+
 def harmless(cycloid: CycloidStage) -> CycloidStage:
     """A cycloid stage that exists, in the place of one that does not, with a pin circle radius of 1 m.
 

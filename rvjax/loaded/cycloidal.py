@@ -12,11 +12,13 @@ import jax
 import jax.numpy as jnp
 
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
+from rvjax.geometry import material as of_contact
+from rvjax.loaded import material
 from rvjax.loaded.balance import Forces
-from rvjax.loaded.case import Case, Named
+from rvjax.loaded.case import Case, Named, under
 from rvjax.loaded.cycloidal_contacts import Law, drive_laws
 from rvjax.loaded.cycloidal_fit import gaps_of_turn
-from rvjax.loaded.cycloidal_gaps import Drive, Unknowns, drive_at, drive_gaps, drive_rows
+from rvjax.loaded.cycloidal_gaps import Unknowns, drive_at, drive_gaps, drive_rows
 from rvjax.loaded.cycloidal_inputs import check_drive
 from rvjax.loaded.inputs import Read, admitted, unchecked
 from rvjax.loaded.system import Bearings, Group, Joints, Layout, Pins, System
@@ -99,10 +101,10 @@ def _positive(layout: Layout, design: CycloidalReducer) -> jax.Array:
     positive = [
         *(cycloid.pin_circle_radius, cycloid.pin_radius, output.circle_radius, output.pin_radius),
         *(cycloid.eccentricity + output.hole_clearance / 2, springs.eccentric_bearing),
-        *(contact.young_modulus, contact.face_width, *contact.compliances),
+        *of_contact(contact),
     ]
     maybe = (springs.shaft_support, *(n for part in (contact, output) for n in (part.pin_stiffness, part.pin_support)))
-    positive += [number for number in (*maybe, contact.pin_young_modulus) if number is not None]
+    positive += [number for number in maybe if number is not None]
     return jnp.concatenate([jnp.ravel(jnp.asarray(value)) for value in positive])
 
 
@@ -125,8 +127,8 @@ def _holes(layout: Layout, design: CycloidalReducer, law: Law) -> _Holes:
     assert contact is not None
     every = (layout.discs, design.output.count)
     law = Law(*(None if x is None else jnp.broadcast_to(x, every).ravel() for x in law))  # type: ignore[arg-type]
-    plane = jnp.asarray(sum(contact.compliances) / (jnp.pi * contact.face_width))  # a^2 = 4 F R* plane
-    most = (NEAR * design.output.pin_radius) ** 2 / (4 * law.radius * plane)
+    plane = material.plane(contact) / contact.face_width  # a^2 = 4 F R* plane
+    most = jnp.asarray((NEAR * design.output.pin_radius) ** 2 / (4 * law.radius * plane))
     pressure = _pressure(design, law.radius)
     return _Holes(law, jnp.broadcast_to(pressure, (count,)), most if layout.law == "hertz" else None)
 
@@ -135,13 +137,7 @@ def _pressure(design: CycloidalReducer, radius: jax.Array) -> jax.Array:
     """Largest Hertzian pressure over the square root of a force; Eq. 11."""
     contact = design.contact
     assert contact is not None
-    return 1 / jnp.sqrt(jnp.pi * contact.face_width * sum(contact.compliances) * radius)
-
-
-def _at(layout: Layout, read: Read, input_angle: jax.Array) -> tuple[Drive, jax.Array]:
-    """Directions at an angle, and a one that XLA does not look through (see `rv.prepare`)."""
-    at = drive_at(read.design, read.eccentricity, input_angle)
-    return at, jnp.where(read.eccentricity > 0, 1.0, 2.0).astype(at.ring.size.dtype)
+    return jnp.sqrt(material.squeeze(contact) / radius)
 
 
 def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
@@ -154,8 +150,9 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
     """
     design, errors, unknowns = read.design, read.errors, _unknowns(layout)
     springs, radius = design.stiffness, jnp.asarray(design.output.circle_radius)
-    at, one = _at(layout, read, input_angle)
+    at = drive_at(design, read.eccentricity, input_angle)
     dtype = at.ring.size.dtype
+    one = jnp.where(read.eccentricity > 0, 1.0, 2.0).astype(dtype)  # see `rv.prepare`
     gaps, rows = drive_gaps(design, errors, at, read.eccentricity), drive_rows(design, unknowns, at)
     laws = drive_laws(layout.law, design, at)
     holes = _holes(layout, design, laws.holes)
@@ -196,31 +193,38 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
         load=design.carrier_factor / radius,
     )
     pressure = jnp.broadcast_to(_pressure(design, laws.pins.radius), gaps.pins.shape)
-    return Case(system, at.ring.lever / one, pressure, radius / design.carrier_factor, holes.most)
+    b = at.ring.eccentric
+    return Case(
+        system=system,
+        lever=at.ring.lever / one,
+        pressure=pressure,
+        length=radius / design.carrier_factor,
+        hole_pressure=holes.pressure.reshape(layout.discs, -1),
+        eccentric=jnp.stack([b.cosine, b.sine], axis=-1),
+        most=holes.most,
+    )
 
 
-def named(layout: Layout, read: Read, input_angle: jax.Array, forces: Forces) -> Named:
+def named(layout: Layout, read: Read, case: Case, forces: Forces) -> Named:
     """Forces of shaft, output pins and carrier.
 
     Args:
         layout: counts and methods.
         read: finite and possible numbers.
-        input_angle: () rad.
+        case: of the angle.
         forces: of all contacts.
     """
-    at, _ = _at(layout, read, input_angle)
-    b, e = at.ring.eccentric, read.eccentricity
+    assert case.eccentric is not None and case.hole_pressure is not None
+    x, y = case.eccentric.T
     disc_bearing = -forces.bearings[: layout.discs, None]
     holes = forces.joints.reshape(layout.discs, -1)
-    pressure = _holes(layout, read.design, drive_laws(layout.law, read.design, at).holes).pressure
-    pressed = holes > 0
     along = jnp.sum(holes, axis=1)
     return Named(
         disc_bearing=disc_bearing,
         support_bearing=-jnp.sum(disc_bearing, axis=0),
         gear=None,
-        input_torque=e * jnp.sum(b.cosine * disc_bearing[:, 0, 1] - b.sine * disc_bearing[:, 0, 0]),
+        input_torque=read.eccentricity * jnp.sum(x * disc_bearing[:, 0, 1] - y * disc_bearing[:, 0, 0]),
         output_pins=holes,
-        output_pressure=jnp.where(pressed, pressure.reshape(holes.shape) * jnp.sqrt(jnp.where(pressed, holes, 1)), 0),
-        output_bearing=jnp.stack([jnp.sum(along * b.cosine), jnp.sum(along * b.sine)]),
+        output_pressure=under(case.hole_pressure, holes),
+        output_bearing=jnp.stack([jnp.sum(along * x), jnp.sum(along * y)]),
     )

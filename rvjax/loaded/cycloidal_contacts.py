@@ -11,6 +11,7 @@ import jax.numpy as jnp
 
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import Contact
+from rvjax.loaded import material
 from rvjax.loaded.cycloidal_gaps import Drive
 from rvjax.loaded.gaps import flank_rounding
 from rvjax.records import Scalar
@@ -54,8 +55,7 @@ def _law(
     law: str, contact: Contact, rounding: jax.Array, pin: jax.Array, stiffness: Scalar | None, support: Scalar | None
 ) -> Law:
     """Eqs. 8 to 10; `rounding` is r^2/R* of a pin of radius r."""
-    disc, other = contact.compliances
-    plane = jnp.asarray((disc + other) / jnp.pi)
+    plane = material.plane(contact)
     radius = pin * pin / rounding
     soft = None if support is None else jnp.atleast_2d(1 / jnp.asarray(support))  # a row for every disc
     if law == "linear":
@@ -65,6 +65,5 @@ def _law(
     if law == "palmgren":
         return Law(3.81 * plane**0.9 / contact.face_width**0.8, None, radius)
     c = plane / contact.face_width
-    nu = contact.poisson_ratio
-    level = jnp.log(4 * rounding / c) - (other + disc * nu / (1 - nu)) / (disc + other)
+    level = material.level(contact, rounding)
     return Law(c, level if soft is None else level + soft / c, radius)

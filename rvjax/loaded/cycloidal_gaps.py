@@ -88,12 +88,12 @@ def drive_gaps(design: CycloidalReducer, errors: CycloidalErrors, at: Drive, ecc
     """
     return DriveGaps(
         pins=pin_depths(design.cycloid, errors, at.ring),
-        holes=_hole_depths(design, errors, at),
+        holes=_hole_depths(design, errors, at, eccentricity),
         centres=_centres(design, errors, at, eccentricity),
     )
 
 
-def _hole_depths(design: CycloidalReducer, errors: CycloidalErrors, at: Drive) -> jax.Array:
+def _hole_depths(design: CycloidalReducer, errors: CycloidalErrors, at: Drive, eccentricity: Scalar) -> jax.Array:
     """Depth of every output pin in its hole, (d, n) m: Eq. 6. A longer eccentricity closes every hole."""
     discs, pins = design.cycloid.disc_count, design.output.count
     hole = jnp.broadcast_to(errors.hole_position, (discs, pins, 2))
@@ -104,7 +104,7 @@ def _hole_depths(design: CycloidalReducer, errors: CycloidalErrors, at: Drive) -
     clearance -= jnp.broadcast_to(errors.output_pin_radius, (pins,))[None]
     depth = away[..., 0] * at.swing.cosine + away[..., 1] * at.swing.sine
     depth -= (b.cosine * centre[0] + b.sine * centre[1])[:, None]
-    return depth - clearance + errors.eccentricity
+    return depth - clearance + (eccentricity - design.cycloid.eccentricity)
 
 
 def _centres(design: CycloidalReducer, errors: CycloidalErrors, at: Drive, eccentricity: Scalar) -> jax.Array:

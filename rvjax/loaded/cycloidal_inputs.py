@@ -39,18 +39,6 @@ def check_drive(
         if contact == "linear" and part.pin_stiffness is None:
             raise ValueError(f"{type(part).__name__}.pin_stiffness = None: contact = 'linear' needs it")
     check_shapes(design, design.cycloid, design.output, design.stiffness, design.contact)
-    check_errors(design, errors)
-
-
-def check_errors(design: CycloidalReducer, errors: CycloidalErrors) -> None:
-    """Raise an error for errors of another kind of reducer, or of other counts.
-
-    Args:
-        design: the drive.
-        errors: of its parts.
-    """
-    if not isinstance(errors, CycloidalErrors):
-        raise ValueError(f"errors: a CycloidalReducer takes CycloidalErrors, got {type(errors).__name__}")
     check_shapes(design, errors)
 
 
