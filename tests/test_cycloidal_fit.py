@@ -121,10 +121,12 @@ def test_a_case_that_cannot_be_has_a_status():
 def test_what_does_not_fit_together_is_an_error():
     with pytest.raises(ValueError, match="takes CycloidalErrors, got RVErrors"):
         clearance(TWO, RVErrors())
-    with pytest.raises(ValueError, match="takes a design of kind CycloidalReducer, got RVReducer"):
-        clearance(RV_40E, RVErrors())
+    with pytest.raises(ValueError, match="takes RVErrors, got CycloidalErrors"):
+        clearance(RV_40E, CycloidalErrors())
     with pytest.raises(ValueError, match=r"CycloidalErrors.hole_radius: shape \(3, 6\)"):
         clearance(TWO, CycloidalErrors(hole_radius=np.zeros((3, 6))))
+    with pytest.raises(ValueError, match=r"RVErrors.pin_radii: shape \(3,\)"):
+        clearance(RV_40E, RVErrors(pin_radii=np.zeros(3)))
     with pytest.raises(ValueError, match="samples = 0"):
         clearance(TWO, CycloidalErrors(), 0)
 

@@ -8,10 +8,10 @@ import pytest
 from cycloidal_cases import NAMED, design_of, dictionaries, drawn, errors_of
 
 from oracles import cycloidal as oracle
-from rvjax import CycloidalErrors, RVErrors
+from rvjax import CycloidalErrors, RVErrors, loaded
 from rvjax.loaded.cycloidal_contacts import drive_laws
 from rvjax.loaded.cycloidal_gaps import Unknowns, drive_at, drive_gaps, drive_rows
-from rvjax.loaded.cycloidal_inputs import check_drive
+from rvjax.loaded.kinds import check_input
 from rvjax.units import um
 
 TWO = design_of(NAMED["c17: fit, errors"]["design"])
@@ -126,6 +126,6 @@ REFUSED = {
 @pytest.mark.parametrize("message", REFUSED)
 def test_what_no_equilibrium_can_be_computed_of_is_named(message):
     design, errors, methods = REFUSED[message]
-    check_drive(TWO, CycloidalErrors(), "linear", "floating")
+    check_input(TWO, CycloidalErrors(), "linear", "floating", "fixed")
     with pytest.raises(ValueError, match=message):
-        check_drive(design, errors, **{"contact": "hertz", "carrier": "fixed"} | methods)
+        loaded.equilibrium(design, errors, input_angle=0.0, output_torque=1.0, **methods)

@@ -87,9 +87,10 @@ def test_derivatives_are_those_of_the_independent_program():
     name = "c17: all errors, rated, hertz"
     case = NAMED[name]
     design, errors = drive_of(case["design"]), errors_of(case["errors"])
-    error = lambda whole: (
-        loaded.equilibrium(whole["design"], whole["errors"], **(case["options"] | whole["options"])).error
-    )
+
+    def error(whole):
+        return loaded.equilibrium(whole["design"], whole["errors"], **(case["options"] | whole["options"])).error
+
     numbers = {name: case["options"][name] for name in ("output_torque", "input_angle")}
     whole = {"design": design, "errors": errors, "options": numbers}
     slopes, pairs = jax.grad(error)(whole), []
@@ -155,11 +156,10 @@ def test_conforming_holes_are_beyond_the_theory():
 def test_batches_and_a_floating_sun():
     design = catalogue.CYCLOIDAL_15
     throws = jnp.outer(jnp.linspace(-20e-6, 20e-6, 5), jnp.array([1.0, -1.0]))
-    error = lambda t: (
-        loaded.equilibrium(  # noqa: E731
-            design, CycloidalErrors(throw=t), input_angle=1.0, output_torque=5.0
-        ).error
-    )
+
+    def error(throw):
+        return loaded.equilibrium(design, CycloidalErrors(throw=throw), input_angle=1.0, output_torque=5.0).error
+
     every, alone = jax.vmap(error)(throws), [error(t) for t in throws]
     np.testing.assert_allclose(every, alone, rtol=1e-12)
     with pytest.raises(ValueError, match="sun = 'floating': a single-stage drive has none"):
@@ -169,7 +169,7 @@ def test_batches_and_a_floating_sun():
 
 
 def test_pins_of_another_material_in_an_rv_reducer():
-    """The same material written out changes nothing; softer pins: p^2/F falls with s1 + s2, and so does the stiffness."""
+    """The same material written out changes nothing; softer pins: p^2/F falls with s1 + s2, as does the stiffness."""
     design = rv.replace(contact=rv.contact.replace(pin_young_modulus=206e9, pin_poisson_ratio=0.3))
     one, other = (loaded.equilibrium(d, RVErrors(), input_angle=1.0, output_torque=400.0) for d in (rv, design))
     np.testing.assert_allclose(other.pins, one.pins, rtol=1e-10)

@@ -19,8 +19,7 @@ from rvjax.loaded.case import Case, Named, under
 from rvjax.loaded.cycloidal_contacts import Law, drive_laws
 from rvjax.loaded.cycloidal_fit import gaps_of_turn
 from rvjax.loaded.cycloidal_gaps import Unknowns, drive_at, drive_gaps, drive_rows
-from rvjax.loaded.cycloidal_inputs import check_drive
-from rvjax.loaded.inputs import Read, admitted, unchecked
+from rvjax.loaded.inputs import Read, admitted, check_shapes, unchecked
 from rvjax.loaded.system import Bearings, Group, Joints, Layout, Pins, System
 from rvjax.records import Scalar
 
@@ -39,9 +38,17 @@ def layout(design: CycloidalReducer, errors: CycloidalErrors, contact: str, carr
         carrier: "fixed" or "floating".
         sun: "fixed".
     """
-    check_drive(design, errors, contact, carrier, sun)
-    assert design.stiffness is not None
-    held = design.stiffness.shaft_support is not None
+    springs = design.stiffness
+    assert springs is not None and design.contact is not None
+    if sun != "fixed":
+        raise ValueError(
+            f"sun = {sun!r}: a single-stage drive has none; a floating shaft is CycloidalStiffness.shaft_support"
+        )
+    for part in (design.contact, design.output):
+        if contact == "linear" and part.pin_stiffness is None:
+            raise ValueError(f"{type(part).__name__}.pin_stiffness = None: contact = 'linear' needs it")
+    check_shapes([design.cycloid, design.output, springs, design.contact], design.counts)
+    held = springs.shaft_support is not None
     holes = Group(discs=True, links=False, common=True, each=design.output.count, law=contact)
     eccentrics = Group(discs=True, links=False, common=held)
     supports = Group(discs=False, links=False, common=True)

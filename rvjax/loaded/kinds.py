@@ -10,7 +10,7 @@ from rvjax.designs import RVReducer, expect
 from rvjax.loaded import cycloidal, laws, rv
 from rvjax.loaded.balance import Forces
 from rvjax.loaded.case import Case, Named
-from rvjax.loaded.inputs import SUPPORTS, Read, check_teeth
+from rvjax.loaded.inputs import SUPPORTS, Read, check_shapes, check_teeth
 from rvjax.loaded.system import Layout
 from rvjax.records import PyTree, Scalar
 from rvjax.status import SolveInfo
@@ -46,7 +46,7 @@ def kind_of(design: PyTree) -> Kind:
 
 
 def check_kind(design: PyTree, errors: PyTree) -> None:
-    """Raise an error for errors of another kind of reducer.
+    """Raise an error for errors of another kind of reducer or of other counts.
 
     Args:
         design: one of `KINDS`.
@@ -56,6 +56,7 @@ def check_kind(design: PyTree, errors: PyTree) -> None:
     if not isinstance(errors, wanted):
         kind = type(design).__name__
         raise ValueError(f"errors: a {kind} takes {wanted.__name__}, got {type(errors).__name__}")
+    check_shapes([errors], design.counts)
 
 
 def check_input(design: PyTree, errors: PyTree, contact: str, carrier: str, sun: str) -> Layout:

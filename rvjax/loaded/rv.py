@@ -43,7 +43,7 @@ def layout(design: RVReducer, errors: RVErrors, contact: str, carrier: str, sun:
     """
     assert design.stiffness is not None and design.contact is not None
     cycloid, cranks = design.cycloid, design.cranks
-    check_shapes([design.involute, cycloid, cranks, design.stiffness, design.contact, errors], design.counts)
+    check_shapes([design.involute, cycloid, cranks, design.stiffness, design.contact], design.counts)
     return Layout(
         discs=cycloid.disc_count,
         pins=cycloid.pin_count,
