@@ -1,11 +1,14 @@
 """Designs and errors of the reference cases of the single-stage drive."""
 
+import dataclasses
 import json
 from pathlib import Path
 
+import jax
 import numpy as np
 
 from rvjax import Contact, CycloidalErrors, CycloidalReducer, CycloidalStiffness, CycloidStage, OutputPins
+from rvjax.loaded import unchecked
 
 CASES = json.loads((Path(__file__).parent / "reference" / "single_stage.json").read_text())["cases"]
 NAMED = {case["name"]: case for case in CASES}
@@ -20,6 +23,15 @@ def design_of(given):
 
 def errors_of(given):
     return CycloidalErrors(**{name: np.asarray(v) if np.ndim(v) else v for name, v in given.items()})
+
+
+def placed(design, errors=None):
+    """Design and errors as arrays, errors at every place: cases of one size share a program."""
+    errors, whole = CycloidalErrors() if errors is None else errors, {}
+    for f in dataclasses.fields(errors):
+        shape = [size if isinstance(size, int) else design.counts[size] for size in f.metadata["shape"]]
+        whole[f.name] = np.broadcast_to(np.asarray(getattr(errors, f.name), float), shape)
+    return jax.tree.map(lambda leaf: np.asarray(leaf, float), design), unchecked(errors, **whole)
 
 
 def dictionaries(design):
