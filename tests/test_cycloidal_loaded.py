@@ -119,7 +119,7 @@ def test_derivatives_are_those_of_the_independent_program():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("member, contact", [("carrier", "linear"), ("ring", "hertz"), ("ring", "palmgren")])
+@pytest.mark.parametrize(("member", "contact"), [("carrier", "linear"), ("ring", "hertz"), ("ring", "palmgren")])
 def test_agrees_with_the_independent_model(contact, member):
     """Drawn errors, floating carrier, shaft on supports; three discs."""
     rng = np.random.default_rng(len(contact))
@@ -168,9 +168,9 @@ def test_either_member_is_the_same_machine():
     np.testing.assert_allclose(np.sum(one.disc_torque), torque, rtol=1e-6)
 
 
-@pytest.mark.parametrize("member, shift, ratio", [("carrier", 1, -17), ("ring", -1, 18)])
+@pytest.mark.parametrize(("member", "shift", "ratio"), [("carrier", 1, -17), ("ring", -1, 18)])
 def test_a_crank_turn_later_the_next_pin_is_in_place(member, shift, ratio):
-    """The crank stands in the carrier as before, the ring one pin on; its errors moved along, the forces are the same."""
+    """The crank stands in the carrier as before, the ring one pin on; with its errors moved, forces are the same."""
     design, errors = c17(member, ring_centre=0.0, shaft_centre=0.0)
     moved = {name: np.roll(getattr(errors, name), shift, axis=0) for name in ("pin_offset", "pin_radii")}
     one, other = solve(design, errors), solve(design, errors.replace(**moved), 0.7 + ratio * 2 * np.pi / 18)
@@ -224,12 +224,12 @@ def test_rotations_of_all_output_pins_and_of_the_shaft():
 def test_closed_forms_of_stiff_eccentrics():
     """Eqs. 16 to 18 without clearance, linear law: forces in proportion to their arms."""
     design, errors = placed(design_of(NAMED["v17: no errors, crank angle 0.1, linear"]["design"]))
-    design = design.replace(stiffness=design.stiffness.replace(eccentric_bearing=np.array(1e10)))
+    design = design.replace(stiffness=design.stiffness.replace(eccentric_bearing=np.array(1e11)))
     e, zc, zp, radius, count, torque = 1.3e-3, 17, 18, 32.9e-3, 6, -5.85
-    angles = np.arange(24) * 2 * np.pi * 17 / 18 / 24
+    angles = np.arange(25) * 2 * np.pi * 17 / 18 / 25
     found = [solve(design, errors, angle, torque, contact="linear") for angle in angles]
     across = [each.input_torque / e for each in found]
-    np.testing.assert_allclose(across, -torque / (e * zc), rtol=1e-6)
+    np.testing.assert_allclose(across, -torque / (e * zc), rtol=1e-4)
     bearing = [np.hypot(*each.disc_bearing[0, 0]) for each in found]
     np.testing.assert_allclose(np.mean(bearing), 52.890 * abs(torque), rtol=2e-3)
     along = [np.sum(each.output_pins) for each in found]
@@ -238,7 +238,7 @@ def test_closed_forms_of_stiff_eccentrics():
     np.testing.assert_allclose(
         max(np.max(each.output_pins) for each in found), 4 * abs(torque) / (count * radius), rtol=3e-2
     )
-    pins, holes, eccentric = 4 / (40e6 * zp * (e * zc) ** 2), 4 / (60e6 * count * radius**2), 1 / (1e10 * (e * zc) ** 2)
+    pins, holes, eccentric = 4 / (40e6 * zp * (e * zc) ** 2), 4 / (60e6 * count * radius**2), 1 / (1e11 * (e * zc) ** 2)
     np.testing.assert_allclose(np.mean([each.error for each in found]), -torque * (pins + holes + eccentric), rtol=1e-2)
     back = solve(design, errors, 0.0, -torque, contact="linear")
     np.testing.assert_allclose(back.error, -found[0].error, rtol=1e-9)
@@ -265,7 +265,8 @@ def test_extreme_drives_converge(eccentric_bearing):
             if torque:
                 expect = oracle.equilibrium(dictionaries(design), errors, input_angle=angle, output_torque=torque)
                 np.testing.assert_allclose(found.error, expect["error"], rtol=1e-7)
-                np.testing.assert_allclose(np.sum(found.disc_torque), torque, rtol=1e-2)
+                due = np.asarray(expect["output_pins"])
+                np.testing.assert_allclose(found.output_pins, due, atol=1e-6 * np.max(due))
 
 
 @pytest.mark.long
@@ -276,7 +277,7 @@ def test_float32_gives_the_same_to_its_rounding():
         *jax.tree.map(np.float32, given), input_angle=np.float32(0.7), output_torque=np.float32(13.2)
     )
     assert single.error.dtype == np.float32 and succeeded(single.info.status)
-    assert abs(single.error - double.error) < 1e-4 * abs(double.error) + 1e-8
+    assert abs(float(single.error) - float(double.error)) < 1e-4 * abs(double.error) + 1e-8
     for field in ("pins", "output_pins", "disc_bearing"):
         due = np.asarray(getattr(double, field))
         np.testing.assert_allclose(getattr(single, field), due, atol=2e-3 * np.max(due))
@@ -291,13 +292,23 @@ def test_a_throw_longer_than_the_holes_allow_is_no_failure():
 
 
 def test_conforming_holes_are_beyond_the_theory():
-    """Half width of the contact above 0.3 of the radius of the pin, by Eq. 11 from the forces of a linear solve."""
+    """Half width of the contact above 0.3 of the radius of the pin, Eq. 11, and not before."""
     design, errors = placed(design_of(NAMED["c29: no errors, rated, hertz"]["design"]))
-    tight = design.replace(output=design.output.replace(pin_radius=np.array(60e-3)))
-    assert int(solve(tight, errors, 0.3, 40e3).info.status) == Status.CONVERGED
-    found = solve(tight, errors, 0.3, 116e3)
-    assert int(found.info.status) == Status.CONTACT_OVERLOAD
-    assert np.isnan(found.error) and np.isnan(found.output_pins).all()
+    room, pin, width = 1.25e-3 + 10e-6, 60e-3, 13.5e-3
+    radius, plane = pin * (pin + room) / room, 2 * (1 - 0.3**2) / 206e9 / np.pi
+    tight = design.replace(output=design.output.replace(pin_radius=np.array(pin)))
+
+    def share(torque):
+        found = solve(tight, errors, 0.3, torque)
+        return Status(int(found.info.status)), np.sqrt(4 * np.max(found.output_pins) * radius * plane / width) / pin
+
+    status, half = share(8e3)
+    assert status == Status.CONVERGED and 0.27 < half < 0.3
+    limit = 8e3 * (0.3 / half) ** 2  # force in proportion to the torque, nearly
+    status, half = share(0.99 * limit)
+    assert status == Status.CONVERGED and 0.295 < half < 0.3
+    status, half = share(1.01 * limit)
+    assert status == Status.CONTACT_OVERLOAD and np.isnan(half)
 
 
 def test_batches_and_what_is_refused():
