@@ -247,8 +247,8 @@ def test_closed_forms_of_stiff_eccentrics():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("eccentric_bearing", [2e6, 1e11])
-def test_extreme_drives_converge(eccentric_bearing):
+@pytest.mark.parametrize(("eccentric_bearing", "size"), [(2e6, 5e-6), (1e11, 0.0)])
+def test_extreme_drives_converge(eccentric_bearing, size):
     """59 lobes, three output pins, 1e-3 of the rated torque in 50 um of clearance; soft and rigid bearings."""
     given = NAMED["many59: no errors, rated, hertz"]["design"]
     design = design_of(given | {"output": given["output"] | {"count": 3, "hole_clearance": 100e-6}})
@@ -258,7 +258,7 @@ def test_extreme_drives_converge(eccentric_bearing):
     )
     draw = np.random.default_rng(59)
     for angle in (0.0, 1.0, 40.0, 333.0):
-        errors = drawn(draw, (2, 60, 59, 3))
+        errors = drawn(draw, (2, 60, 59, 3), size)
         for torque in (2.93e-3, -2.93e-3, 0.0):
             found = solve(*placed(design, CycloidalErrors(**errors)), angle, torque)
             assert Status(int(found.info.status)) == (Status.CONVERGED if torque else Status.UNLOADED)
