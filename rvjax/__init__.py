@@ -12,6 +12,7 @@ from rvjax._ground import sections as _sections
 
 if TYPE_CHECKING:
     from rvjax import catalogue, plotting, units
+    from rvjax.cycloidal import CycloidalErrors, CycloidalReducer, CycloidalStiffness, OutputPins
     from rvjax.designs import (
         Bearings,
         CamRollerReducer,
@@ -34,6 +35,7 @@ __version__ = "0.2.0"
 
 # Homes of names that are loaded at first use, because importing JAX takes a second.
 _HOMES = {
+    "cycloidal": "CycloidalErrors CycloidalReducer CycloidalStiffness OutputPins",
     "designs": (
         "Bearings CamRollerReducer Contact CrankStage CycloidStage Damping Inertia InvoluteStage MeshVariation "
         "RVReducer RollerBearing Stiffness"
@@ -58,7 +60,7 @@ _MODULES = (
 )
 _LAZY = {name: home for home, names in _HOMES.items() for name in names.split()} | dict.fromkeys(_MODULES.split())
 
-_GROUND = ("designs", "errors", "records", "status")  # submodules whose names are all above
+_GROUND = ("cycloidal", "designs", "errors", "records", "status")  # submodules whose names are all above
 _DEPRECATED = ("compile_cache",)
 
 __all__ = ["enable_x64", *sorted(_LAZY)]
@@ -86,8 +88,8 @@ _sections.LOOKUPS.append(lambda table: importlib.import_module("rvjax.commands")
 
 def __dir__() -> list[str]:
     """Names for completion: models, tools and their inputs; results list their own fields."""
-    typed = (name for name, home in _LAZY.items() if home in (None, "designs", "errors", "status"))
+    typed = (name for name, home in _LAZY.items() if home in (None, "cycloidal", "designs", "errors", "status"))
     return sorted(
         {"__version__", "enable_x64", "LinkDeviations", "Reading", *typed}
-        - {"models", "mounting", "roots", "SolveInfo"}
+        - {"models", "mounting", "roots", "SolveInfo", "CycloidalStiffness", "MeshVariation", "OutputPins"}
     )

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from importlib import resources
 from typing import Any, TypeVar
 
+from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import CamRollerReducer, RVReducer
 from rvjax.errors import RVErrors
 from rvjax.records import PyTree, Record
@@ -86,6 +87,9 @@ RV_20E: RVReducer = _record(RVReducer, _PUBLISHED["RV_20E"])
 RV_20E_ERRORS: RVErrors = _record(RVErrors, _PUBLISHED["RV_20E_ERRORS"])
 RV_80E: RVReducer = _record(RVReducer, _PUBLISHED["RV_80E"])
 RV_320E: RVReducer = _record(RVReducer, _PUBLISHED["RV_320E"])
+CYCLOIDAL_15: CycloidalReducer = _record(CycloidalReducer, _PUBLISHED["CYCLOIDAL_15"])
+CYCLOIDAL_17: CycloidalReducer = _record(CycloidalReducer, _PUBLISHED["CYCLOIDAL_17"])
+CYCLOIDAL_29: CycloidalReducer = _record(CycloidalReducer, _PUBLISHED["CYCLOIDAL_29"])
 
 BASES: dict[str, PyTree] = {
     "corr": CORR,

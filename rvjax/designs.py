@@ -190,7 +190,7 @@ class Damping(Record):
 
 @record
 class Contact(Record):
-    """Contact of a disc with the pins (loaded equilibrium). Discs and pins are of one material."""
+    """Contact of a disc with the pins (loaded equilibrium). Pins have the material of the discs, or another one."""
 
     young_modulus: Scalar = field("Pa", "Young's modulus, E", sign="positive")
     poisson_ratio: Scalar = field("-", "Poisson's ratio, nu")
@@ -209,10 +209,28 @@ class Contact(Record):
         default=None,
         sign="positive",
     )
+    pin_young_modulus: Scalar | None = field(
+        "Pa", "of pins of another material; None: that of the discs", default=None, sign="positive"
+    )
+    pin_poisson_ratio: Scalar | None = field("-", "of pins of another material; None: that of the discs", default=None)
+
+    @property
+    def compliances(self) -> tuple[Scalar, Scalar]:
+        """(1 - nu^2)/E of discs and of pins, 1/Pa."""
+        disc = (1 - self.poisson_ratio**2) / self.young_modulus
+        if self.pin_young_modulus is None or self.pin_poisson_ratio is None:
+            return disc, disc
+        return disc, (1 - self.pin_poisson_ratio**2) / self.pin_young_modulus
 
     def _check(self) -> None:
-        if concrete(self.poisson_ratio) and np.any(np.abs(np.asarray(self.poisson_ratio)) >= 1):
-            raise ValueError(f"Contact.poisson_ratio = {quantity(self.poisson_ratio, '-')}: must lie between -1 and 1")
+        for name in ("poisson_ratio", "pin_poisson_ratio"):
+            ratio = getattr(self, name)
+            if concrete(ratio) and np.any(np.abs(np.asarray(ratio)) >= 1):
+                raise ValueError(f"Contact.{name} = {quantity(ratio, '-')}: must lie between -1 and 1")
+        pair = ("pin_young_modulus", "pin_poisson_ratio")
+        for name, other in (pair, pair[::-1]):
+            if getattr(self, name) is None and getattr(self, other) is not None:
+                raise ValueError(f"Contact.{name} = None: must be given with {other}")
 
 
 @record

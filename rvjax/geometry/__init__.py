@@ -1,4 +1,4 @@
-"""Geometry of an RV reducer without errors: curvature of the flank, space between the parts, size, nominal pressure."""
+"""Geometry of a reducer with cycloid discs, without errors: curvature of the flank, space, size, nominal pressure."""
 
 from rvjax._reducer.flank import (
     curvature as curvature,
@@ -6,5 +6,6 @@ from rvjax._reducer.flank import (
     relative_radius as relative_radius,
 )
 from rvjax.geometry.figures import Figures, contact_ratio as contact_ratio, figures
+from rvjax.geometry.ring import material as material
 
 __all__ = ["Figures", "figures"]

@@ -78,7 +78,7 @@ def _measure(
     def of_one(torque: jax.Array, found: Found, status: jax.Array) -> tuple[jax.Array, jax.Array]:
         loaded = case.loaded(torque)
         q = placed(layout, loaded, found, status)
-        of_names = named(layout, read, forces(layout, loaded.system, q))
+        of_names = named(layout, read, loaded, forces(layout, loaded.system, q))
         both = of_names.disc_bearing, of_names.support_bearing
         return jax.tree.map(lambda force: jnp.where(status == Status.CONVERGED, force, 0), both)
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax.loaded.balance import attach, balance
+from rvjax.loaded.balance import attach, balance, forces
 from rvjax.loaded.inputs import Read
 from rvjax.loaded.newton import Found
 from rvjax.loaded.system import Layout, System
@@ -20,6 +20,9 @@ class Case(NamedTuple):
     lever: jax.Array  # (d, p) m, of a pin about the centre of its disc
     pressure: jax.Array  # (d, p) Pa / sqrt(N)
     length: jax.Array  # () m: the first common unknown over the rotation of the output
+    hole_pressure: jax.Array | None = None  # (d, n) Pa / sqrt(N), of output pins
+    eccentric: jax.Array | None = None  # (d, 2) direction of the eccentric of each disc
+    most: jax.Array | None = None  # (j,) N, forces of joints beyond which the theory of their contact fails
 
     def loaded(self, torque: jax.Array) -> "Case":
         """The same parts, whose load is that of 1 N m, under `torque`, () N m."""
@@ -33,6 +36,9 @@ class Named(NamedTuple):
     support_bearing: jax.Array  # (c, 2) crank on carrier
     gear: jax.Array | None  # (c,) driving less coasting flank
     input_torque: jax.Array  # () N m
+    output_pins: jax.Array | None = None  # (d, n) each output pin in each disc
+    output_pressure: jax.Array | None = None  # (d, n) Pa
+    output_bearing: jax.Array | None = None  # (2,) all discs on the carrier
 
 
 def solve(layout: Layout, read: Read, case: Case, start: jax.Array) -> tuple[Found, SolveInfo]:
@@ -45,10 +51,10 @@ def solve(layout: Layout, read: Read, case: Case, start: jax.Array) -> tuple[Fou
         start: (n,), or NaN: the linear step.
     """
     found = balance(layout, case.system, jnp.where(read.gate.good, start, jnp.inf))
-    return found, _status(read, case, found)
+    return found, _status(layout, read, case, found)
 
 
-def _status(read: Read, case: Case, found: Found) -> SolveInfo:
+def _status(layout: Layout, read: Read, case: Case, found: Found) -> SolveInfo:
     """Status, steps and residual of the solve of a case.
 
     A torque so small that the centring springs carry it inside the clearances loads no contact. The forces are
@@ -57,11 +63,14 @@ def _status(read: Read, case: Case, found: Found) -> SolveInfo:
     faint = math.sqrt(float(jnp.finfo(found.residual.dtype).eps))
     idle = (case.system.load == 0) & (found.largest <= case.system.centring * read.design.cycloid.pin_radius)
     idle |= (found.largest <= faint * jnp.abs(case.system.load)) | (found.residual > faint)
+    overload = found.overload & ~found.converged
+    if case.most is not None:
+        overload |= jnp.any(forces(layout, case.system, found.q).joints > case.most)
     ended = SolveInfo(jnp.where(idle, jnp.int32(int(Status.UNLOADED)), 0), found.steps, found.residual)
     return read.gate.close(
         (),
         (~found.finite, Status.NONFINITE),
-        (found.overload & ~found.converged, Status.CONTACT_OVERLOAD),
+        (overload, Status.CONTACT_OVERLOAD),
         (~found.converged, Status.MAX_STEPS),
         info=ended,
     )[1]
@@ -84,5 +93,15 @@ def pressures(case: Case, pins: jax.Array) -> jax.Array:
         case: of the same angle.
         pins: forces (d, p) N.
     """
-    pressed = pins > 0
-    return jnp.where(pressed, case.pressure * jnp.sqrt(jnp.where(pressed, pins, 1)), 0)
+    return under(case.pressure, pins)
+
+
+def under(pressure: jax.Array, force: jax.Array) -> jax.Array:
+    """Pressure under a force, 0 without; Pa.
+
+    Args:
+        pressure: over the square root of a force, Pa / sqrt(N).
+        force: N.
+    """
+    pressed = force > 0
+    return jnp.where(pressed, pressure * jnp.sqrt(jnp.where(pressed, force, 1)), 0)

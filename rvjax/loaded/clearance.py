@@ -2,11 +2,12 @@
 
 from rvjax._jax.compile_cache import quick
 from rvjax._reducer.plausible import checked
+from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
 from rvjax.loaded.inputs import check_teeth
-from rvjax.loaded.kinds import KINDS, kind_of
-from rvjax.records import Array, Record, field, record
+from rvjax.loaded.kinds import KINDS, check_kind, kind_of
+from rvjax.records import Array, PyTree, Record, field, record
 from rvjax.status import SolveInfo
 
 
@@ -20,10 +21,17 @@ class Clearance(Record):
 
 
 @checked
-def clearance(design: RVReducer, errors: RVErrors, *, turns: float | None = None, samples: int = 48) -> Clearance:
+def clearance(
+    design: RVReducer | CycloidalReducer,
+    errors: RVErrors | CycloidalErrors,
+    *,
+    turns: float | None = None,
+    samples: int = 48,
+) -> Clearance:
     """Least clearance between flanks and pins along a turn of the output, without load.
 
-    Cranks, bearings and bores are ideal; what they take is the `misfit` of the discs.
+    RV reducer: cranks, bearings and bores are ideal; what they take is the `misfit` of the discs. Single-stage drive:
+    pins in holes count too, discs sit on their eccentrics, and bearing clearance does not help.
 
     Args:
         design: involute teeth and cycloid stage are read.
@@ -36,17 +44,18 @@ def clearance(design: RVReducer, errors: RVErrors, *, turns: float | None = None
         or a radius that is not positive) or UNDERCUT.
 
     Raises:
-        ValueError: no RV reducer, another tooth difference than one, or samples < 1.
+        ValueError: another kind of design or of errors, another tooth difference than one, or samples < 1.
     """
     expect(design, "loaded.clearance", *KINDS)
     cycloid = design.cycloid
     check_teeth(cycloid)
+    check_kind(design, errors)
     if samples < 1:
         raise ValueError(f"samples = {samples}: must be at least 1")
     return _clearance(samples, 1 / cycloid.pin_count if turns is None else turns, design, errors)
 
 
 @quick(0, 1)
-def _clearance(samples: int, turns: float, design: RVReducer, errors: RVErrors) -> Clearance:
+def _clearance(samples: int, turns: float, design: PyTree, errors: PyTree) -> Clearance:
     (least, found), info = kind_of(design).fit(samples, turns, design, errors)
     return Clearance(least, found, info)

@@ -6,6 +6,7 @@ import numpy as np
 
 from rvjax._jax.compile_cache import ONCE, quick
 from rvjax._reducer.plausible import checked
+from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.loaded.balance import compliance, forces
@@ -14,7 +15,7 @@ from rvjax.loaded.inputs import Read
 from rvjax.loaded.kinds import admit, check_input, named, prepare
 from rvjax.loaded.newton import Found
 from rvjax.loaded.system import Layout
-from rvjax.records import Array, Record, Scalar, field, record
+from rvjax.records import Array, PyTree, Record, Scalar, field, record
 from rvjax.status import SolveInfo, succeeded
 
 
@@ -28,17 +29,26 @@ class Loaded(Record):
     pressure: Array = field("Pa", "largest Hertzian pressure of each pin", shape=("discs", "pins"))
     disc_bearing: Array = field("N", "crank on disc, x, y", shape=("discs", "cranks", 2))
     support_bearing: Array = field("N", "crank on carrier, x, y", shape=("cranks", 2))
-    gear: Array = field("N", "sun on each planet, driving flank less coasting flank", shape=("cranks",))
-    input_torque: Array = field("N m", "torque on the sun")
+    gear: Array | None = field(
+        "N", "sun on each planet, driving flank less coasting flank; None: no such gear", shape=("cranks",)
+    )
+    input_torque: Array = field("N m", "torque on the sun or shaft")
     disc_torque: Array = field("N m", "moment of the pins about the centre of each disc", shape=("discs",))
     stiffness: Array = field("N m/rad", "tangent stiffness at the carrier, input held")
     info: SolveInfo = field("-", "residual: largest unbalanced force over the largest force", kind="record")
+    output_pins: Array | None = field(
+        "N", "force of each output pin in each disc, >= 0", shape=("discs", "output_pins"), default=None
+    )
+    output_pressure: Array | None = field(
+        "Pa", "largest Hertzian pressure of each output pin", shape=("discs", "output_pins"), default=None
+    )
+    output_bearing: Array | None = field("N", "all discs on the carrier, x, y", shape=(2,), default=None)
 
 
 @checked
 def equilibrium(
-    design: RVReducer,
-    errors: RVErrors,
+    design: RVReducer | CycloidalReducer,
+    errors: RVErrors | CycloidalErrors,
     *,
     input_angle: Scalar,
     output_torque: Scalar,
@@ -49,13 +59,16 @@ def equilibrium(
     """Quasi-static equilibrium of every part that carries torque, both stages in one.
 
     Contacts are elastic and unilateral, without friction; geometry is linear in the displacements, which are deviations
-    from the ideal motion at `input_angle`. Derived in this project: docs/models/loaded.md, Eqs. 1-23.
+    from the ideal motion at `input_angle`. Derived in this project: docs/models/loaded.md, Eqs. 1-23, and
+    docs/models/single_stage.md. With clearances above e/25 the forces of a single-stage drive are too low.
 
     Args:
-        design: with stiffness and contact; one pin more than disc teeth. `shortening` is not read.
+        design: an RV reducer or a single-stage drive, with stiffness and contact; one pin more than disc teeth.
+            `shortening` is not read.
         errors: of its parts; the bounds without a place (`pin_position`, `disc_runout`, `disc_cumulative_pitch`) are
             not read, negative clearances count as 0.
-        input_angle: of the sun, () rad, ring fixed; forward is counter-clockwise, and so is the output.
+        input_angle: of the sun, () rad, ring fixed; forward is counter-clockwise, and so is the output. Of a
+            single-stage drive: of the shaft against the part at rest; the output turns by angle / design.ratio.
         output_torque: that the discs exert on the carrier, () N m; the external load is its opposite.
         contact: contact law of the pins, "hertz", "linear" or "palmgren".
         carrier: "fixed" centre, or "floating" on `stiffness.output_support`.
@@ -64,7 +77,8 @@ def equilibrium(
     Returns:
         Loaded. Status CONVERGED; UNLOADED: no pin pressed, with a torque of zero or one that the centring springs
         carry, or forces lost in the rounding of the gaps (residual above 1.5e-8, in float32 3.5e-4); or with NaN values
-        NONFINITE, INVALID_GEOMETRY, UNDERCUT, CONTACT_OVERLOAD (hertz: pin depth at its limit), MAX_STEPS.
+        NONFINITE, INVALID_GEOMETRY, UNDERCUT, CONTACT_OVERLOAD (hertz: pin depth at its limit, or
+        an output pin whose contact is wider than 0.6 of its radius), MAX_STEPS.
 
     Raises:
         ValueError: unknown methods, a design without stiffness or contact or with another tooth difference than one,
@@ -75,9 +89,7 @@ def equilibrium(
 
 
 @quick(0, options=ONCE)
-def _equilibrium(
-    layout: Layout, design: RVReducer, errors: RVErrors, input_angle: Scalar, output_torque: Scalar
-) -> Loaded:
+def _equilibrium(layout: Layout, design: PyTree, errors: PyTree, input_angle: Scalar, output_torque: Scalar) -> Loaded:
     read = admit(layout, design, errors, output_torque, input_angle)
     case = prepare(layout, read, read.angle).loaded(read.torque)
     found, info = solve(layout, read, case, jnp.full((layout.unknowns,), jnp.nan, read.torque.dtype))
@@ -85,7 +97,7 @@ def _equilibrium(
 
 
 def error_alone(
-    layout: Layout, design: RVReducer, errors: RVErrors, input_angle: Scalar, output_torque: Scalar
+    layout: Layout, design: PyTree, errors: PyTree, input_angle: Scalar, output_torque: Scalar
 ) -> jax.Array:
     """Error of an equilibrium and nothing else, NaN where it failed: half of the tracing of all.
 
@@ -112,7 +124,7 @@ def outcome(layout: Layout, read: Read, case: Case, found: Found, info: SolveInf
         error=turned(layout, case, q),
         pins=at.pins,
         pressure=pressures(case, at.pins),
-        **named(layout, read, at)._asdict(),
+        **named(layout, read, case, at)._asdict(),
         disc_torque=-jnp.sum(case.lever * at.pins, axis=1),
         stiffness=jnp.square(case.length) / compliance(layout, case.system, q, unit)[layout.carried],
         info=None,  # type: ignore[arg-type]

@@ -5,9 +5,8 @@ import jax.numpy as jnp
 
 from rvjax._reducer.flank import Ground, curvature, modified, profile
 from rvjax.designs import CycloidStage
-from rvjax.errors import RVErrors
 from rvjax.loaded.geometry import Geometry
-from rvjax.records import Scalar
+from rvjax.records import PyTree, Scalar
 
 
 def full(value: Scalar, shape: tuple[int, ...]) -> jax.Array:
@@ -20,7 +19,7 @@ def full(value: Scalar, shape: tuple[int, ...]) -> jax.Array:
     return jnp.broadcast_to(value, shape)
 
 
-def pin_depths(cycloid: CycloidStage, errors: RVErrors, at: Geometry) -> jax.Array:
+def pin_depths(cycloid: CycloidStage, errors: PyTree, at: Geometry) -> jax.Array:
     """Depth of every pin in its disc at the ideal position, (d, p) m: Eq. 13, term by term.
 
     Args:

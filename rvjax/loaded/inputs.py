@@ -116,6 +116,7 @@ def admitted(
 _HARMLESS = {
     "pressure_angle": 0.35,
     "poisson_ratio": 0.3,
+    "pin_poisson_ratio": 0.3,
     "pin_radius": 1e-6,
     "equidistant_modification": 0.0,
     "shift_modification": 0.0,

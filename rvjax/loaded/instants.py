@@ -29,6 +29,8 @@ class Loads(NamedTuple):
     largest_support_bearing: jax.Array
     crank_sharing: jax.Array | None
     disc_sharing: jax.Array
+    largest_output_pin: jax.Array | None = None
+    largest_output_pressure: jax.Array | None = None
 
 
 class Instants(NamedTuple):
@@ -78,7 +80,7 @@ def _measure(
     case = prepare(layout, read, angle).loaded(torque)
     q = placed(layout, case, found, status)
     at = forces(layout, case.system, q)
-    of_names = named(layout, read, at)
+    of_names = named(layout, read, case, at)
     arm, support = of_names.disc_bearing, of_names.support_bearing
     loads = Loads(
         largest_pin=jnp.max(at.pins),
@@ -87,6 +89,8 @@ def _measure(
         largest_support_bearing=_largest(support),
         crank_sharing=None if of_names.gear is None else _sharing(of_names.gear),
         disc_sharing=_sharing(jnp.sum(case.lever * at.pins, axis=1)),
+        largest_output_pin=None if of_names.output_pins is None else jnp.max(of_names.output_pins),
+        largest_output_pressure=None if of_names.output_pressure is None else jnp.max(of_names.output_pressure),
     )
     arm, support = (jnp.where(status == Status.CONVERGED, force, 0) for force in (arm, support))
     return turned(layout, case, q), loads, arm, support

@@ -5,47 +5,61 @@ from typing import Protocol
 import jax
 
 from rvjax._ground.choices import choose
+from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import RVReducer, expect
-from rvjax.errors import RVErrors
-from rvjax.loaded import laws, rv
+from rvjax.loaded import cycloidal, laws, rv
 from rvjax.loaded.balance import Forces
 from rvjax.loaded.case import Case, Named
-from rvjax.loaded.inputs import SUPPORTS, Read, check_teeth
+from rvjax.loaded.inputs import SUPPORTS, Read, check_shapes, check_teeth
 from rvjax.loaded.system import Layout
-from rvjax.records import Scalar
+from rvjax.records import PyTree, Scalar
 from rvjax.status import SolveInfo
 
 
 class Kind(Protocol):
     """Functions of the module of a kind of reducer; the arguments are those of `rv`."""
 
-    def layout(self, design: RVReducer, errors: RVErrors, contact: str, carrier: str, sun: str) -> Layout:
+    def layout(self, design: PyTree, errors: PyTree, contact: str, carrier: str, sun: str) -> Layout:
         """Bodies and contacts, with an error for shapes that do not fit."""
 
-    def admit(self, layout: Layout, design: RVReducer, errors: RVErrors, torque: Scalar, angle: Scalar) -> Read:
+    def admit(self, layout: Layout, design: PyTree, errors: PyTree, torque: Scalar, angle: Scalar) -> Read:
         """The numbers that are read, harmless ones in the place of impossible ones."""
 
     def prepare(self, layout: Layout, read: Read, input_angle: jax.Array) -> Case:
         """Geometry, springs and gaps of one input angle; `load` is that of 1 N m."""
 
-    def named(self, layout: Layout, read: Read, forces: Forces) -> Named:
+    def named(self, layout: Layout, read: Read, case: Case, forces: Forces) -> Named:
         """The forces by their names in the results."""
 
     def fit(
-        self, samples: int, turns: float, design: RVReducer, errors: RVErrors
+        self, samples: int, turns: float, design: PyTree, errors: PyTree
     ) -> tuple[tuple[jax.Array, jax.Array], SolveInfo]:
         """Least clearance without load, of all angles () and of each (n,)."""
 
 
-KINDS: dict[type, Kind] = {RVReducer: rv}
+KINDS: dict[type, Kind] = {RVReducer: rv, CycloidalReducer: cycloidal}
 
 
-def kind_of(design: RVReducer) -> Kind:
+def kind_of(design: PyTree) -> Kind:
     """The module of a design's kind."""
     return next(kind for cls, kind in KINDS.items() if isinstance(design, cls))
 
 
-def check_input(design: RVReducer, errors: RVErrors, contact: str, carrier: str, sun: str) -> Layout:
+def check_kind(design: PyTree, errors: PyTree) -> None:
+    """Raise an error for errors of another kind of reducer or of other counts.
+
+    Args:
+        design: one of `KINDS`.
+        errors: of its parts.
+    """
+    wanted = design.error_record
+    if not isinstance(errors, wanted):
+        kind = type(design).__name__
+        raise ValueError(f"errors: a {kind} takes {wanted.__name__}, got {type(errors).__name__}")
+    check_shapes([errors], design.counts)
+
+
+def check_input(design: PyTree, errors: PyTree, contact: str, carrier: str, sun: str) -> Layout:
     """The layout of this call.
 
     Args:
@@ -69,10 +83,11 @@ def check_input(design: RVReducer, errors: RVErrors, contact: str, carrier: str,
         if getattr(design, name) is None:
             raise ValueError(f"{type(design).__name__}.{name} = None: the loaded equilibrium needs it")
     check_teeth(design.cycloid)
+    check_kind(design, errors)
     return kind_of(design).layout(design, errors, contact, carrier, sun)
 
 
-def admit(layout: Layout, design: RVReducer, errors: RVErrors, torque: Scalar, angle: Scalar) -> Read:
+def admit(layout: Layout, design: PyTree, errors: PyTree, torque: Scalar, angle: Scalar) -> Read:
     """Check the numbers that are read.
 
     Args:
@@ -96,12 +111,13 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
     return kind_of(read.design).prepare(layout, read, input_angle)
 
 
-def named(layout: Layout, read: Read, forces: Forces) -> Named:
+def named(layout: Layout, read: Read, case: Case, forces: Forces) -> Named:
     """The forces by their names in the results.
 
     Args:
         layout: counts and methods.
         read: finite and possible numbers.
+        case: of the angle.
         forces: of all contacts.
     """
-    return kind_of(read.design).named(layout, read, forces)
+    return kind_of(read.design).named(layout, read, case, forces)

@@ -1,16 +1,18 @@
 """Transmission error of a whole reducer along its turn, under load."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.compile_cache import quick
 from rvjax._reducer.plausible import checked
+from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.loaded.instants import Instants, instants
 from rvjax.loaded.kinds import admit, check_input
 from rvjax.loaded.system import Layout
-from rvjax.records import Array, Record, Scalar, field, record
+from rvjax.records import Array, PyTree, Record, Scalar, field, record
 from rvjax.status import SolveInfo, succeeded, worst_of
 
 HARMONICS = 5
@@ -30,15 +32,21 @@ class Revolution(Record):
     largest_pressure: Array = field("Pa", "largest Hertzian pressure of any pin at any angle")
     largest_arm_bearing: Array = field("N", "largest force of a crank on a disc at any angle")
     largest_support_bearing: Array = field("N", "largest force of a crank on the carrier at any angle")
-    crank_sharing: Array = field("-", "most loaded planet over the mean of all, at the worst angle; 0 without torque")
+    crank_sharing: Array | None = field(
+        "-", "most loaded planet over the mean of all, at the worst angle; 0 without torque; None: no planets"
+    )
     disc_sharing: Array = field("-", "most loaded disc over the mean of all, at the worst angle; 0 without torque")
     info: SolveInfo = field("-", "the worst of the angles; steps: all", kind="record")
+    largest_output_pin: Array | None = field("N", "largest force of any output pin at any angle", default=None)
+    largest_output_pressure: Array | None = field(
+        "Pa", "largest Hertzian pressure of any output pin at any angle", default=None
+    )
 
 
 @checked
 def revolution(
-    design: RVReducer,
-    errors: RVErrors,
+    design: RVReducer | CycloidalReducer,
+    errors: RVErrors | CycloidalErrors,
     *,
     output_torque: Scalar,
     turns: float | None = None,
@@ -73,7 +81,7 @@ def revolution(
 
 @quick(0, 1)
 def _revolution(
-    layout: Layout, samples: int, design: RVReducer, errors: RVErrors, output_torque: Scalar, turns: Scalar
+    layout: Layout, samples: int, design: PyTree, errors: PyTree, output_torque: Scalar, turns: Scalar
 ) -> Revolution:
     read = admit(layout, design, errors, output_torque, turns)
     order = jnp.arange(samples, dtype=read.torque.dtype)
@@ -107,6 +115,6 @@ def summary(found: Instants) -> Revolution:
         peak_to_peak=jnp.max(error) - jnp.min(error),
         mean=jnp.mean(error),
         harmonics=jnp.where(fine, wave, jnp.nan),
-        **{name: jnp.where(fine, jnp.max(load), jnp.nan) for name, load in found.loads._asdict().items()},
+        **jax.tree.map(lambda load: jnp.where(fine, jnp.max(load), jnp.nan), found.loads._asdict()),
         info=whole.replace(steps=jnp.sum(found.info.steps)),
     )

@@ -14,6 +14,8 @@ import numpy as np
 
 from rvjax.designs import Contact, RVReducer
 from rvjax.errors import RVErrors
+from rvjax.geometry import material as of_contact
+from rvjax.loaded import material
 from rvjax.loaded.balance import Forces
 from rvjax.loaded.case import Case, Named
 from rvjax.loaded.fit import flanks
@@ -41,7 +43,7 @@ def layout(design: RVReducer, errors: RVErrors, contact: str, carrier: str, sun:
     """
     assert design.stiffness is not None and design.contact is not None
     cycloid, cranks = design.cycloid, design.cranks
-    check_shapes([design.involute, cycloid, cranks, design.stiffness, design.contact, errors], design.counts)
+    check_shapes([design.involute, cycloid, cranks, design.stiffness, design.contact], design.counts)
     return Layout(
         discs=cycloid.disc_count,
         pins=cycloid.pin_count,
@@ -124,10 +126,9 @@ def pin_compliance(layout: Layout, design: RVReducer) -> jax.Array:
         cosine = jnp.cos(design.cycloid.force_angle)
         whole = 4 * cosine * cosine * jnp.mean(springs.disc_pin_mesh) / layout.pins
         return whole if soft is None else 1 / (1 / whole + (soft - jnp.mean(soft)))
-    plane = jnp.asarray(2 * (1 - contact.poisson_ratio**2) / (jnp.pi * contact.young_modulus))
     if layout.law == "palmgren":
-        return 3.81 * plane**0.9 / contact.face_width**0.8
-    return plane / contact.face_width
+        return 3.81 * material.plane(contact) ** 0.9 / contact.face_width**0.8
+    return material.plane(contact) / contact.face_width
 
 
 def mesh_stiffness(design: RVReducer) -> jax.Array:
@@ -160,7 +161,7 @@ def _positive(layout: Layout, design: RVReducer) -> jax.Array:
         *(involute.sun_base_radius, involute.planet_base_radius, jnp.cos(involute.pressure_angle)),
         *(springs.turning_arm_bearing, springs.support_bearing, springs.sun_planet_mesh),
         *(springs.planet_crank_bending, springs.planet_crank_torsion),
-        *(contact.young_modulus, contact.face_width, 1 - contact.poisson_ratio**2),
+        *of_contact(contact),
     ]
     if layout.law == "linear":
         positive.append(pin_compliance(layout, design))
@@ -189,14 +190,12 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
     flank = jnp.sin(involute.pressure_angle) * radial + jnp.cos(involute.pressure_angle) * side * tangential
     swing = e / involute.planet_base_radius * jnp.stack([-at.eccentric.sine, at.eccentric.cosine], axis=-1)
     yielding = pin_compliance(layout, design)
-    plane = contact.young_modulus * contact.face_width / (1 - contact.poisson_ratio**2)
     rounding = flank_rounding(cycloid, at)
     level = None
-    if layout.law == "hertz":  # Eq. 17
-        level = jnp.log(2 * jnp.pi * plane * rounding) - 1 / (2 * (1 - contact.poisson_ratio))
+    if layout.law == "hertz":
+        level = material.level(contact, rounding)
         if contact.pin_support is not None:
             level = level + 1 / (yielding * jnp.atleast_1d(contact.pin_support)[None])
-    squeeze = plane / (2 * jnp.pi * contact.face_width**2)  # Eq. 24: p^2 = F E / (2 pi L (1 - nu^2) R*)
     arms = jnp.broadcast_to(springs.turning_arm_bearing, (layout.discs, layout.links))
     centring = 1e-8 * jnp.mean(arms)
     held: list[Scalar] = [0.0] * (layout.carried + 1)
@@ -234,16 +233,17 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
         load=1 / cranks.circle_radius,
     )
     # rr^2 / R* is `rounding`, so that 1 / R* = rounding / rr^2.
-    pressure = jnp.sqrt(squeeze * rounding) / cycloid.pin_radius
+    pressure = jnp.sqrt(material.squeeze(contact) * rounding) / cycloid.pin_radius
     return Case(system, at.lever / one, pressure, jnp.asarray(cranks.circle_radius))
 
 
-def named(layout: Layout, read: Read, forces: Forces) -> Named:
+def named(layout: Layout, read: Read, case: Case, forces: Forces) -> Named:
     """Forces of the cranks and of the first stage.
 
     Args:
         layout: counts and methods.
         read: finite and possible numbers.
+        case: of the angle.
         forces: of all contacts.
     """
     (_, arms), (_, seats) = layout.parts(layout.bearings)

@@ -7,13 +7,14 @@ import jax.numpy as jnp
 
 from rvjax._jax.compile_cache import quick
 from rvjax._reducer.plausible import checked
+from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.loaded.case import placed, solve, turned
 from rvjax.loaded.kinds import admit, check_input, prepare
 from rvjax.loaded.newton import Found
 from rvjax.loaded.system import Layout
-from rvjax.records import Array, Record, Scalar, field, record
+from rvjax.records import Array, PyTree, Record, Scalar, field, record
 from rvjax.roots import solved
 from rvjax.status import SolveInfo, succeeded, worst_of
 
@@ -35,8 +36,8 @@ class Torsion(Record):
 
 @checked
 def torsion(
-    design: RVReducer,
-    errors: RVErrors,
+    design: RVReducer | CycloidalReducer,
+    errors: RVErrors | CycloidalErrors,
     *,
     input_angle: Scalar,
     rated_torque: Scalar,
@@ -66,7 +67,7 @@ def torsion(
 
 
 @quick(0)
-def _torsion(layout: Layout, design: RVReducer, errors: RVErrors, input_angle: Scalar, rated_torque: Scalar) -> Torsion:
+def _torsion(layout: Layout, design: PyTree, errors: PyTree, input_angle: Scalar, rated_torque: Scalar) -> Torsion:
     error, info = twisted(layout, design, errors, input_angle, rated_torque, SHARES)
     rated = jnp.asarray(rated_torque, error.dtype)
     torque = rated * jnp.asarray([[-share, share] for share in SHARES], error.dtype)
@@ -95,8 +96,8 @@ def secant(at_rated: jax.Array, at_half: jax.Array, rated_torque: Scalar) -> jax
 @quick(0)
 def twisted(
     layout: Layout,
-    design: RVReducer,
-    errors: RVErrors,
+    design: PyTree,
+    errors: PyTree,
     input_angle: Scalar,
     rated_torque: Scalar,
     shares: Sequence[float],

@@ -1,0 +1,243 @@
+"""Single-stage cycloidal drives: a shaft with an eccentric per disc, a ring of pins, output pins in holes of the discs.
+
+The carrier of the output pins is the output, or the ring of pins while the carrier is at rest.
+"""
+
+import dataclasses
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from rvjax._ground.choices import choose
+from rvjax._reducer.bearings import Bearings
+from rvjax.designs import Contact, CycloidStage
+from rvjax.errors import Errors, RVErrors, deviation, part
+from rvjax.records import Record, Scalar, concrete, count, field, quantity, record, text
+
+MEMBERS = ("carrier", "ring")
+"""Parts that may be the output; the other one is at rest."""
+
+SHAFT, OUTPUT = part("shaft", stage="cranks"), part("output_pins", stage="output")
+DISCS, CARRIER = "discs", "carrier"  # as of an RV reducer
+READ_BY = ("loaded", "life")
+
+
+@record
+class OutputPins(Record):
+    """Pins of the carrier in holes of the discs: hole diameter = pin diameter + 2 eccentricity + clearance."""
+
+    count: int = count("output pins, n", minimum=3, maximum=256)
+    circle_radius: Scalar = field("m", "radius of the circle of output pins and holes, Rw", sign="positive")
+    pin_radius: Scalar = field("m", "radius of an output pin with its sleeve, rw", sign="positive")
+    hole_clearance: Scalar = field("m", "diametral clearance of a pin in its hole", default=0.0)
+    pin_stiffness: Scalar | None = field(
+        "N/m", "one pin in one disc, linear contact law", default=None, sign="positive"
+    )
+    pin_support: Scalar | None = field(
+        "N/m",
+        "each pin in the carrier and bending, for one disc, in series with its contact (hertz, linear); None: rigid. "
+        "Not used: palmgren",
+        shape=("output_pins",),
+        default=None,
+        sign="positive",
+    )
+
+    @classmethod
+    def from_hole(
+        cls,
+        count: int,
+        circle_radius: Scalar,
+        pin_radius: Scalar,
+        *,
+        hole_radius: Scalar,
+        eccentricity: Scalar,
+    ) -> Self:
+        """Output pins of a drawing that gives the holes.
+
+        Args:
+            count: output pins.
+            circle_radius: m.
+            pin_radius: m.
+            hole_radius: of the holes in the discs, m.
+            eccentricity: of the shaft, m.
+        """
+        return cls(count, circle_radius, pin_radius, 2 * (hole_radius - pin_radius - eccentricity))
+
+
+@record
+class CycloidalStiffness(Record):
+    """Stiffness of the bearings of a single-stage drive."""
+
+    eccentric_bearing: Scalar = field("N/m", "disc on its eccentric", shape=("discs",), sign="positive")
+    shaft_support: Scalar | None = field(
+        "N/m", "shaft in its supports; None: its centre is fixed", default=None, sign="positive"
+    )
+    output_support: Scalar = field("N/m", "radial support of a floating carrier", default=0.0, sign="nonnegative")
+
+
+def _as_rv(name: str, meaning: str = "", part: str = "") -> Any:
+    """An error that an RV reducer has too, with another meaning or part where they are given."""
+    about = dict(RVErrors.__dataclass_fields__[name].metadata) | dict(read_by=READ_BY, bounds=None)
+    about |= {key: given for key, given in (("meaning", meaning), ("part", part)) if given}
+    return dataclasses.field(default=0.0, metadata=about)
+
+
+@record
+class CycloidalErrors(Errors):
+    """Manufacturing errors of the parts of a single-stage cycloidal drive.
+
+    Positions of holes and output pins are [radial, tangential] at their place in disc or carrier, pin offsets in the
+    frame of their ring pin: radial away from the axis, tangential counter-clockwise. Pin 0, eccentric 0 and output pin
+    0 lie on the x axis at input angle 0. A runout of the disc is a `disc_centre`, a pitch error of its holes a
+    `hole_position`. Errors from `pin_offset` on have a place.
+    """
+
+    of_design: ClassVar[str] = "CycloidalReducer"
+
+    bearing_clearance: Scalar = _as_rv("bearing_clearance", "radial clearance of the eccentric bearings")
+    support_clearance: Scalar = _as_rv("support_clearance", "radial clearance of a shaft that `shaft_support` holds")
+    eccentricity: Scalar = _as_rv(
+        "eccentricity", "eccentricity of flanks and shaft alike; > 0 takes clearance from every hole", SHAFT
+    )
+    pin_circle_radius: Scalar = _as_rv("pin_circle_radius")
+    pin_radius: Scalar = _as_rv("pin_radius")
+    pin_hole_clearance: Scalar = _as_rv("pin_hole_clearance", "diametral clearance of the pins of the ring")
+    equidistant_modification: Scalar = _as_rv("equidistant_modification")
+    shift_modification: Scalar = _as_rv("shift_modification")
+    pin_offset: Scalar = _as_rv("pin_offset", "position of each pin in the ring")
+    pin_radii: Scalar = _as_rv("pin_radii")
+    ring_centre: Scalar = _as_rv("ring_centre", "pin circle against the main axis, ring x, y")
+    disc_centre: Scalar = _as_rv("disc_centre", "teeth against bore, x, y at input angle 0")
+    disc_pitch: Scalar = _as_rv("disc_pitch")
+    disc_profile: Scalar = _as_rv("disc_profile")
+    throw: Scalar = deviation(
+        "m",
+        "longer throw of each eccentric of the shaft than of the flank",
+        SHAFT,
+        READ_BY,
+        shape=("discs",),
+        of="cycloid.eccentricity",
+        placed=True,
+    )
+    eccentric_phase: Scalar = deviation(
+        "rad", "angle of each eccentric on the shaft", SHAFT, READ_BY, shape=("discs",), placed=True
+    )
+    hole_position: Scalar = deviation(
+        "m",
+        "position of each hole against the bore of its disc",
+        DISCS,
+        READ_BY,
+        shape=("discs", "output_pins", 2),
+        of="output.circle_radius",
+        placed=True,
+        vector="polar",
+        carried_by="disc",
+        mirrored=(1, -1),
+    )
+    hole_radius: Scalar = deviation(
+        "m",
+        "radius of each hole; > 0 is clearance",
+        DISCS,
+        READ_BY,
+        shape=("discs", "output_pins"),
+        placed=True,
+        carried_by="disc",
+    )
+    output_pin_offset: Scalar = deviation(
+        "m",
+        "position of each output pin in the carrier",
+        OUTPUT,
+        READ_BY,
+        shape=("output_pins", 2),
+        of="output.circle_radius",
+        placed=True,
+        vector="polar",
+    )
+    output_pin_radius: Scalar = deviation(
+        "m",
+        "radius of each output pin; < 0 is clearance",
+        OUTPUT,
+        READ_BY,
+        shape=("output_pins",),
+        of="output.pin_radius",
+        placed=True,
+    )
+    shaft_centre: Scalar = deviation(
+        "m",
+        "axis of the shaft against the main axis, x, y in the part at rest at input angle 0",
+        SHAFT,
+        READ_BY,
+        shape=(2,),
+        placed=True,
+        vector="xy",
+        breaks_pitch=True,
+    )
+    carrier_centre: Scalar = deviation(
+        "m",
+        "circle of output pins against the main axis, x, y at input angle 0; turns with the carrier",
+        CARRIER,
+        READ_BY,
+        shape=(2,),
+        placed=True,
+        vector="xy",
+    )
+
+
+@record
+class CycloidalReducer(Record):
+    """A single-stage cycloidal drive (K-H-V). The angle of its input is that of the shaft against the part at rest.
+
+    `shortening`, `force_angle` and `disc_phase` of the cycloid stage are not read.
+    """
+
+    kind: ClassVar[str] = "cycloidal"  # in study files
+    error_record: ClassVar[type[CycloidalErrors]] = CycloidalErrors
+
+    cycloid: CycloidStage = field("-", "discs and ring of pins", kind="record")
+    output: OutputPins = field("-", "output pins in the holes of the discs", kind="record")
+    stiffness: CycloidalStiffness | None = field("-", "stiffnesses of the bearings", kind="record", default=None)
+    contact: Contact | None = field("-", "contact of discs and pins", kind="record", default=None)
+    bearings: Bearings | None = field("-", "bearings of the eccentrics", kind="record", default=None)
+    member: str = text('the output: "carrier" (ring at rest) or "ring" (carrier at rest)', default="carrier")
+
+    @property
+    def ratio(self) -> float:
+        """Turns of the shaft for one of the output: -zc of the carrier, which turns against it; zp of the ring."""
+        return -self.cycloid.disc_teeth if self.member == "carrier" else self.cycloid.pin_count
+
+    @property
+    def carrier_ratio(self) -> float:
+        """Turns of the shaft against the part at rest for one of the carrier against the ring: -zc or -zp."""
+        return -self.cycloid.disc_teeth if self.member == "carrier" else -self.cycloid.pin_count
+
+    @property
+    def carrier_factor(self) -> float:
+        """Torque of the carrier over that of the output; error of the output over that of the carrier: 1 or -zc/zp."""
+        return 1.0 if self.member == "carrier" else -self.cycloid.disc_teeth / self.cycloid.pin_count
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Sizes of the named axes in the shapes of this design's errors; the shaft counts as the one crank."""
+        cycloid = self.cycloid
+        return {
+            "discs": cycloid.disc_count,
+            "cranks": 1,
+            "pins": cycloid.pin_count,
+            "teeth": cycloid.disc_teeth,
+            "output_pins": self.output.count,
+        }
+
+    def _check(self) -> None:
+        choose("CycloidalReducer.member", self.member, MEMBERS)
+        cycloid, output = self.cycloid, self.output
+        if cycloid.pin_count != cycloid.disc_teeth + 1:
+            raise ValueError(
+                f"CycloidStage.pin_count = {cycloid.pin_count}: must be disc_teeth + 1 = {cycloid.disc_teeth + 1}"
+            )
+        if concrete(cycloid.eccentricity, output.hole_clearance):
+            room = np.asarray(cycloid.eccentricity) + np.asarray(output.hole_clearance) / 2
+            if np.any(room <= 0):
+                raise ValueError(
+                    f"OutputPins.hole_clearance = {quantity(output.hole_clearance, 'm')}: must be larger than "
+                    f"-2 eccentricity = {quantity(-2 * cycloid.eccentricity, 'm')}: holes are larger than their pins"
+                )

@@ -1,0 +1,144 @@
+"""Contacts of a single-stage drive at the ideal position: depths of pins and holes, offsets of the eccentric bearings.
+
+All are linear in the displacements, holes too: a norm of the distance of both axes in the holes alone would turn their
+forces while those of the pins keep their directions, and input torque and output torque would no longer balance.
+Equation numbers: docs/models/single_stage.md.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
+from rvjax.loaded.gaps import pin_depths
+from rvjax.loaded.geometry import Geometry, Turn, geometry
+from rvjax.records import Scalar
+
+
+class Unknowns(NamedTuple):
+    """Order of the displacements: x, y, Rw beta of each disc; Rw alpha; x, y of a floating carrier, of a held shaft."""
+
+    discs: int
+    floats: bool  # the carrier
+    held: bool  # the shaft in its supports; else its centre is fixed
+
+    @property
+    def carrier(self) -> int:
+        """Row of the carrier rotation."""
+        return 3 * self.discs
+
+    @property
+    def shaft(self) -> int:
+        """First row of the shaft."""
+        return self.carrier + 1 + 2 * self.floats
+
+    @property
+    def total(self) -> int:
+        """Their number."""
+        return self.shaft + 2 * self.held
+
+
+class Drive(NamedTuple):
+    """Directions of one input angle; d discs, n output pins."""
+
+    ring: Geometry  # of the pins of the ring
+    swing: Turn  # b_k - a_m, (d, n)
+
+
+class DriveGaps(NamedTuple):
+    """Depths and bearing offsets where every part is at its ideal position, m."""
+
+    pins: jax.Array  # (d, p)
+    holes: jax.Array  # (d, n)
+    centres: jax.Array  # (d, 2) ideal centre of a disc less the centre of its eccentric
+
+
+class DriveRows(NamedTuple):
+    """Changes of depths and offsets with the displacements (unknowns u)."""
+
+    pins: jax.Array  # (3, d, p) of the disc alone
+    holes: jax.Array  # (d, n, u)
+    bearings: jax.Array  # (b, 2, u) of the eccentrics, then of a held shaft in its supports
+
+
+def drive_at(design: CycloidalReducer, eccentricity: jax.Array, input_angle: jax.Array) -> Drive:
+    """Directions and levers at an input angle.
+
+    Args:
+        design: counts, radii and the output member are read.
+        eccentricity: e, nominal and error, () m.
+        input_angle: of the shaft against the part at rest, () rad.
+    """
+    discs, pins = design.cycloid.disc_count, design.output.count
+    ring = geometry(design.cycloid, eccentricity, input_angle / design.carrier_ratio)  # Eqs. 1 and 2
+    places = np.arange(discs)[:, None] / discs - np.arange(pins)[None] / pins
+    return Drive(ring, ring.crank.plus(2 * np.pi * places))
+
+
+def drive_gaps(design: CycloidalReducer, errors: CycloidalErrors, at: Drive, eccentricity: Scalar) -> DriveGaps:
+    """All gaps of one angle.
+
+    Args:
+        design: modifications, clearances and the output member are read.
+        errors: array fields in full shape or scalars.
+        at: directions of the angle.
+        eccentricity: nominal and error, () m.
+    """
+    return DriveGaps(
+        pins=pin_depths(design.cycloid, errors, at.ring),
+        holes=_hole_depths(design, errors, at, eccentricity),
+        centres=_centres(design, errors, at, eccentricity),
+    )
+
+
+def _hole_depths(design: CycloidalReducer, errors: CycloidalErrors, at: Drive, eccentricity: Scalar) -> jax.Array:
+    """Depth of every output pin in its hole, (d, n) m: Eq. 6. A longer eccentricity closes every hole."""
+    discs, pins = design.cycloid.disc_count, design.output.count
+    hole = jnp.broadcast_to(errors.hole_position, (discs, pins, 2))
+    away = hole - jnp.broadcast_to(errors.output_pin_offset, (pins, 2))[None]
+    centre = jnp.broadcast_to(errors.carrier_centre, (2,))
+    b = at.ring.eccentric
+    clearance = design.output.hole_clearance / 2 + jnp.broadcast_to(errors.hole_radius, (discs, pins))
+    clearance -= jnp.broadcast_to(errors.output_pin_radius, (pins,))[None]
+    depth = away[..., 0] * at.swing.cosine + away[..., 1] * at.swing.sine
+    depth -= (b.cosine * centre[0] + b.sine * centre[1])[:, None]
+    return depth - clearance + (eccentricity - design.cycloid.eccentricity)
+
+
+def _centres(design: CycloidalReducer, errors: CycloidalErrors, at: Drive, eccentricity: Scalar) -> jax.Array:
+    """Eq. 7: ideal centre of a disc less that of its eccentric, (d, 2) m."""
+    discs, b = design.cycloid.disc_count, at.ring.eccentric
+    longer = jnp.broadcast_to(errors.throw, (discs,))
+    ahead = jnp.asarray(eccentricity * jnp.broadcast_to(errors.eccentric_phase, (discs,)))
+    x, y = jnp.broadcast_to(errors.shaft_centre, (2,))
+    if design.member == "carrier":  # its supports are in the housing, which the carrier's frame turns against
+        x, y = at.ring.carrier.back.of(x, y)
+    return -jnp.stack([longer * b.cosine - ahead * b.sine + x, longer * b.sine + ahead * b.cosine + y], axis=-1)
+
+
+def drive_rows(design: CycloidalReducer, unknowns: Unknowns, at: Drive) -> DriveRows:
+    """Rows of all contacts and bearings of one angle.
+
+    Args:
+        design: radius of the circle of output pins, the length of every rotation.
+        unknowns: their order.
+        at: directions of the angle.
+    """
+    discs, output_pins = at.swing.sine.shape
+    normal_x, normal_y = at.ring.normal
+    towards = jnp.stack([at.ring.eccentric.cosine, at.ring.eccentric.sine], axis=-1)  # u(b_k)
+    eye, frame = jnp.eye(2, dtype=towards.dtype), unknowns.carrier + 1
+    holes = jnp.zeros((discs, output_pins, unknowns.total), towards.dtype)
+    bearings = jnp.zeros((discs + unknowns.held, 2, unknowns.total), towards.dtype)
+    for k in range(discs):
+        holes = holes.at[k, :, 3 * k : 3 * k + 2].set(towards[k]).at[k, :, 3 * k + 2].set(at.swing.sine[k])
+        bearings = bearings.at[k, :, 3 * k : 3 * k + 2].set(eye)
+    holes = holes.at[:, :, unknowns.carrier].set(-at.swing.sine)
+    if unknowns.floats:
+        holes = holes.at[:, :, frame : frame + 2].set(-towards[:, None])
+    if unknowns.held:
+        shaft = slice(unknowns.shaft, unknowns.shaft + 2)
+        bearings = bearings.at[:discs, :, shaft].set(-eye).at[discs, :, shaft].set(eye)
+    return DriveRows(jnp.stack([-normal_x, -normal_y, at.ring.lever / design.output.circle_radius]), holes, bearings)

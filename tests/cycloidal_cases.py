@@ -1,0 +1,53 @@
+"""Designs and errors of the reference cases of the single-stage drive."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from rvjax import Contact, CycloidalErrors, CycloidalReducer, CycloidalStiffness, CycloidStage, OutputPins
+from rvjax.loaded import unchecked
+
+CASES = json.loads((Path(__file__).parent / "reference" / "single_stage.json").read_text())["cases"]
+NAMED = {case["name"]: case for case in CASES}
+PARTS = {"cycloid": CycloidStage, "output": OutputPins, "stiffness": CycloidalStiffness, "contact": Contact}
+
+
+def design_of(given):
+    """The drive of nested dictionaries."""
+    parts = {name: cls(**given[name]) for name, cls in PARTS.items()}
+    return CycloidalReducer(**parts, member=given["member"])
+
+
+def errors_of(given):
+    return CycloidalErrors(**{name: np.asarray(v) if np.ndim(v) else v for name, v in given.items()})
+
+
+def placed(design, errors=None):
+    """Design and errors as arrays, errors at every place: cases of one size share a program."""
+    errors, whole = CycloidalErrors() if errors is None else errors, {}
+    for f in dataclasses.fields(errors):
+        shape = [size if isinstance(size, int) else design.counts[size] for size in f.metadata["shape"]]
+        whole[f.name] = np.broadcast_to(np.asarray(getattr(errors, f.name), float), shape)
+    return jax.tree.map(lambda leaf: np.asarray(leaf, float), design), unchecked(errors, **whole)
+
+
+def dictionaries(design):
+    """The same for the oracle."""
+    return {"member": design.member} | {name: vars(getattr(design, name)) for name in PARTS}
+
+
+def drawn(rng, sizes, size=5e-6):
+    """Every error that a constructor accepts, with its place: (discs, pins, teeth, output pins)."""
+    d, p, z, n = sizes
+    shapes = {
+        "eccentricity": (), "pin_circle_radius": (), "pin_radius": (), "equidistant_modification": (),
+        "shift_modification": (), "pin_offset": (p, 2), "pin_radii": (p,), "ring_centre": (2,), "disc_centre": (d, 2),
+        "disc_pitch": (d, z), "disc_profile": (d, 5, 2), "throw": (d,), "hole_position": (d, n, 2),
+        "hole_radius": (d, n), "output_pin_offset": (n, 2), "output_pin_radius": (n,), "shaft_centre": (2,),
+        "carrier_centre": (2,),
+    }  # fmt: skip
+    errors = {name: size * rng.standard_normal(shape) for name, shape in shapes.items()}
+    return errors | {"eccentric_phase": 2e-3 * rng.standard_normal(d), "pin_hole_clearance": size}
