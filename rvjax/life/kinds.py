@@ -28,14 +28,18 @@ def _of_shaft(design: CycloidalReducer, eccentricity: jax.Array, force: jax.Arra
     return force * eccentricity * abs(design.ratio)
 
 
+def _sense_of_shaft(design: CycloidalReducer) -> int:
+    return 1 if design.ratio > 0 else -1
+
+
 KINDS: dict[type, Kind] = {
     RVReducer: Kind(True, lambda design: -1, _of_cranks),
-    CycloidalReducer: Kind(False, lambda design: 1 if design.ratio > 0 else -1, _of_shaft),
+    CycloidalReducer: Kind(False, _sense_of_shaft, _of_shaft),
 }
 
 
 def kind_of(design: PyTree) -> Kind:
-    """What differs for a design's kind.
+    """Entry of `KINDS` for a design.
 
     Args:
         design: one of `KINDS`.
