@@ -63,8 +63,10 @@ class Bearings(Record):
     A preload means tapered support bearings that are set against each other.
     """
 
-    arm: RollerBearing = field("-", "crank in a disc", kind="record")
-    support: RollerBearing | None = field("-", "crank in the carrier; None: not rated", kind="record", default=None)
+    arm: RollerBearing = field("-", "crank or eccentric in a disc", kind="record")
+    support: RollerBearing | None = field(
+        "-", "crank in the carrier; None: not rated, as for a single-stage drive", kind="record", default=None
+    )
     disc_position: Any = field("m", "of each disc from support 0", shape=("discs",), default=None)
     planet_position: Any = field("m", "of the planet from support 0, < 0 outside", default=None)
     support_span: Any = field("m", "from support 0 to support 1", default=None, sign="positive")

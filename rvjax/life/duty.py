@@ -13,8 +13,10 @@ from rvjax.records import Record, concrete, field, quantity, record
 class Duty(Record):
     """A cycle of phases, repeated until a bearing fails. A phase at rest or of zero time counts for static safety."""
 
-    output_torque: Any = field("N m", "of the discs on the carrier, as in `loaded`", shape=("phases",))
-    output_speed: Any = field("rad/s", "of the carrier against the ring, either sign; 0 is rest", shape=("phases",))
+    output_torque: Any = field("N m", "of the discs on the output, as in `loaded`", shape=("phases",))
+    output_speed: Any = field(
+        "rad/s", "of the output against the part at rest, either sign; 0 is rest", shape=("phases",)
+    )
     time: Any = field("s", "of each phase", shape=("phases",), sign="nonnegative")
 
     def _check(self) -> None:

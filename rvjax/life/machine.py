@@ -16,13 +16,13 @@ from rvjax import status
 from rvjax._ground.axes import fit
 from rvjax._jax.elementary import power
 from rvjax._reducer.bearings import Bearings, RollerBearing
-from rvjax.designs import RVReducer
-from rvjax.errors import RVErrors
+from rvjax.errors import Errors
 from rvjax.life.bearing import Looseness, check_method, damaged
 from rvjax.life.histories import WEIBULL, Damage, basic, magnitude
+from rvjax.life.kinds import kind_of
 from rvjax.life.ratings import check_ratings, harmless, ratings, unfit
 from rvjax.loaded import BearingForces, Layout, Read, check_input, unchecked
-from rvjax.records import Scalar, concrete, promote, quantity
+from rvjax.records import PyTree, Scalar, concrete, promote, quantity
 from rvjax.status import Gate, SolveInfo, Status, worst_of
 
 
@@ -69,6 +69,7 @@ def tapered(bearings: Bearings, force: jax.Array) -> Equivalent:
     )
 
 
+PLACES = ("disc_position", "planet_position", "support_span")
 _GOLDEN = (np.sqrt(5) - 1) / 2
 _NEAR = 24  # samples of a crank turn from which on neighbours have similar displacements
 
@@ -80,6 +81,7 @@ class Plan(NamedTuple):
     samples: int
     crank_turns: int
     method: str
+    sense: int  # of the cranks against disc and carrier, 1 or -1 for a positive turn of the output
 
     @property
     def near(self) -> bool:
@@ -88,8 +90,8 @@ class Plan(NamedTuple):
 
 
 def check_plan(
-    design: RVReducer,
-    errors: RVErrors,
+    design: PyTree,
+    errors: Errors,
     samples: int,
     turns: float,
     method: str,
@@ -116,7 +118,10 @@ def check_plan(
     check_method(method, tilt)
     bearings = design.bearings
     if bearings is None:
-        raise ValueError("RVReducer.bearings = None: the life needs them; give Bearings(arm=RollerBearing(...))")
+        kind = type(design).__name__
+        raise ValueError(f"{kind}.bearings = None: the life needs them; give Bearings(arm=RollerBearing(...))")
+    if not kind_of(design).supports:
+        check_alone(bearings, type(design).__name__)
     for name, bearing in (("arm", bearings.arm), ("support", bearings.support)):
         if bearing is not None:
             check_ratings(bearing, f"Bearings.{name}")
@@ -134,7 +139,24 @@ def check_plan(
         )
     if concrete(reliability) and not np.all((np.asarray(reliability) > 0) & (np.asarray(reliability) < 1)):
         raise ValueError(f"reliability = {quantity(reliability, '-')}: must lie between 0 and 1")
-    return Plan(layout, int(samples), crank_turns, method)
+    return Plan(layout, int(samples), crank_turns, method, kind_of(design).sense(design))
+
+
+def check_alone(bearings: Bearings, kind: str) -> None:
+    """Raise ValueError for what only bearings of a crank in a carrier have.
+
+    Args:
+        bearings: of the eccentrics.
+        kind: of the reducer, for the message.
+
+    Raises:
+        ValueError: names Bearings.support and the field that is given.
+    """
+    for name in ("support", "preload", *PLACES):
+        if getattr(bearings, name) is not None:
+            raise ValueError(
+                f"Bearings.{name}: must be None for a {kind}; shaft bearings (Bearings.support) are not rated"
+            )
 
 
 def check_places(bearings: Bearings, counts: Mapping[str, int], name: str) -> None:
@@ -148,12 +170,12 @@ def check_places(bearings: Bearings, counts: Mapping[str, int], name: str) -> No
     Raises:
         ValueError: names the field and its shape.
     """
-    for place in ("disc_position", "planet_position", "support_span", "preload"):
+    for place in (*PLACES, "preload"):
         if (value := getattr(bearings, place)) is not None:
             fit(f"{name}.{place}", value, ("discs",) if place == "disc_position" else (), counts)
 
 
-def input_angles(plan: Plan, design: RVReducer, dtype: DTypeLike) -> jax.Array:
+def input_angles(plan: Plan, design: PyTree, dtype: DTypeLike) -> jax.Array:
     """Input angles over the turn of the output, (n,) rad: every crank angle once, each in a crank turn of its own.
 
     Equally spaced angles alias with the errors, whose loads have the orders of pins and teeth. Eq. 11.
@@ -172,10 +194,10 @@ def inner_angles(plan: Plan, dtype: DTypeLike) -> jax.Array:
     """Angle of each crank against disc and carrier at the samples, without whole turns, (n,) rad.
 
     Args:
-        plan: samples.
+        plan: samples and sense of the cranks.
         dtype: of the result.
     """
-    return jnp.asarray(-2 * np.pi * np.arange(plan.samples) / plan.samples, dtype)
+    return jnp.asarray(plan.sense * 2 * np.pi * np.arange(plan.samples) / plan.samples, dtype)
 
 
 class Entered(NamedTuple):
@@ -190,7 +212,7 @@ class Entered(NamedTuple):
 
 
 def entered(
-    design: RVReducer,
+    design: PyTree,
     read: Read,
     speed: Scalar,
     time: Scalar,
@@ -267,7 +289,7 @@ def system(rates: jax.Array) -> jax.Array:
 
 
 def damages(
-    plan: Plan, bearings: Bearings, errors: RVErrors, forces: BearingForces, share: jax.Array, tilt: jax.Array
+    plan: Plan, bearings: Bearings, errors: PyTree, forces: BearingForces, share: jax.Array, tilt: jax.Array
 ) -> Damages:
     """Effect of the forces of one cycle on every crank bearing.
 

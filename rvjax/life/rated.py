@@ -17,13 +17,15 @@ import numpy as np
 from rvjax._jax.compile_cache import quick
 from rvjax._reducer.bearings import Bearings
 from rvjax._reducer.plausible import checked
+from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
 from rvjax.life.histories import LIFE
+from rvjax.life.kinds import KINDS, kind_of
 from rvjax.life.machine import Plan, check_plan, damages, entered, input_angles
 from rvjax.life.ratings import ratings
 from rvjax.loaded import Read, admit, bearing_forces
-from rvjax.records import Record, Scalar, concrete, field, quantity, record
+from rvjax.records import PyTree, Record, Scalar, concrete, field, quantity, record
 from rvjax.status import Gate, SolveInfo, Status, succeeded, worst
 
 EVALUATIONS = 64
@@ -118,14 +120,14 @@ def largest_root(evaluate: Evaluate, start: jax.Array, memory: jax.Array) -> Roo
 class RatedTorque(Record):
     """Torque for a given life."""
 
-    torque: Any = field("N m", "of the discs on the carrier, > 0")
+    torque: Any = field("N m", "of the discs on the output, > 0")
     info: SolveInfo = field("-", "residual: |0.3 ln(life / wanted)|; steps: of all equilibria", kind="record")
 
 
 @checked
 def rated_torque(
-    design: RVReducer,
-    errors: RVErrors,
+    design: RVReducer | CycloidalReducer,
+    errors: RVErrors | CycloidalErrors,
     *,
     life: Scalar,
     output_speed: Scalar,
@@ -144,7 +146,7 @@ def rated_torque(
         design: as in `rating`.
         errors: as in `rating`.
         life: of the system at `reliability`, () s, > 0.
-        output_speed: of the carrier against the ring, () rad/s, either sign, not 0.
+        output_speed: of the output against the part at rest, () rad/s, either sign, not 0.
         samples: as in `rating`.
         turns: as in `rating`.
         method: as in `rating`.
@@ -161,7 +163,7 @@ def rated_torque(
     Raises:
         ValueError: life <= 0, output_speed 0, and as `rating`.
     """
-    expect(design, "life.rated_torque", RVReducer)
+    expect(design, "life.rated_torque", *KINDS)
     plan = check_plan(design, errors, samples, turns, method, reliability, tilt, (contact, carrier, sun))
     if concrete(life) and np.any(np.asarray(life) <= 0):
         raise ValueError(f"life = {quantity(life, 's')}: must be positive")
@@ -173,8 +175,8 @@ def rated_torque(
 class Given(NamedTuple):
     """Numbers that the root depends on."""
 
-    design: RVReducer
-    errors: RVErrors
+    design: PyTree
+    errors: PyTree
     eccentricity: jax.Array
     bearings: Bearings
     budget: jax.Array  # revolutions that 90 % of the bearings must reach
@@ -184,7 +186,7 @@ class Given(NamedTuple):
 
 @quick(0)
 def _rated_torque(
-    plan: Plan, design: RVReducer, errors: RVErrors, life: Scalar, speed: Scalar, reliability: Scalar, tilt: Scalar
+    plan: Plan, design: PyTree, errors: PyTree, life: Scalar, speed: Scalar, reliability: Scalar, tilt: Scalar
 ) -> RatedTorque:
     read = admit(plan.layout, design, errors, 0.0, 0.0)
     call = entered(design, read, speed, life, reliability, tilt, lambda speed, life: ~(life > 0) | (speed == 0))
@@ -215,8 +217,8 @@ def _missing(plan: Plan, given: Given, x: jax.Array, start: jax.Array) -> Evalua
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _solve(plan: Plan, given: Given) -> Root:
     """ln torque, displacements there, and how it was found."""
-    cranks, discs = given.design.counts["cranks"], given.design.counts["discs"]
-    first = ratings(given.bearings.arm).dynamic * given.design.cranks.circle_radius * cranks * discs / 5
+    dynamic = ratings(given.bearings.arm).dynamic
+    first = kind_of(given.design).torque(given.design, given.eccentricity, dynamic) * plan.layout.discs / 5
     cold = jnp.full((plan.samples, 1, plan.layout.unknowns), jnp.nan, first.dtype)
     return largest_root(lambda x, start: _missing(plan, given, x, start), jnp.log(first), cold)
 

@@ -7,13 +7,15 @@ import jax.numpy as jnp
 
 from rvjax._jax.compile_cache import quick
 from rvjax._reducer.plausible import checked
+from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
 from rvjax.life.bearing import inverse
 from rvjax.life.duty import Duty, check_phases, revolutions
+from rvjax.life.kinds import KINDS
 from rvjax.life.machine import Entered, Plan, check_plan, damages, entered, input_angles
 from rvjax.loaded import BearingForces, Read, admit, bearing_forces
-from rvjax.records import Record, Scalar, field, record
+from rvjax.records import PyTree, Record, Scalar, field, record
 from rvjax.status import SolveInfo, Status, succeeded, worst
 
 
@@ -32,8 +34,8 @@ class Rating(Record):
 
 @checked
 def rating(
-    design: RVReducer,
-    errors: RVErrors,
+    design: RVReducer | CycloidalReducer,
+    errors: RVErrors | CycloidalErrors,
     duty: Duty,
     *,
     samples: int = 48,
@@ -64,16 +66,16 @@ def rating(
         sun: as in `loaded.equilibrium`.
 
     Returns:
-        Rating; `support` and `support_load` are None without support bearings. Status of the worst equilibrium, of
-        phases at rest too; UNLOADED with life inf and derivative 0; with NaN values NONFINITE or INVALID_GEOMETRY
-        (bearings that cannot exist, time < 0).
+        Rating; `support` and `support_load` are None without support bearings, as of a single-stage drive. Status of
+        the worst equilibrium, of phases at rest too; UNLOADED with life inf and derivative 0; with NaN values NONFINITE
+        or INVALID_GEOMETRY (bearings that cannot exist, time < 0).
 
     Raises:
         ValueError: names the argument: bearings None, unknown method, reliability outside (0, 1), samples < 1, turns
             not a whole number of crank turns, phases of different number, tilt without "slices", tapered supports
-            without "basic", and as `loaded.equilibrium`.
+            without "basic", supports or axial positions of a single-stage drive, and as `loaded.equilibrium`.
     """
-    expect(design, "life.rating", RVReducer)
+    expect(design, "life.rating", *KINDS)
     plan = check_plan(design, errors, samples, turns, method, reliability, tilt, (contact, carrier, sun))
     if not isinstance(duty, Duty):
         raise ValueError(f"duty: must be a Duty, got {type(duty).__name__}")
@@ -82,7 +84,7 @@ def rating(
 
 @quick(0, 1)
 def _rating(
-    plan: Plan, phases: int, design: RVReducer, errors: RVErrors, duty: Duty, reliability: Scalar, tilt: Scalar
+    plan: Plan, phases: int, design: PyTree, errors: PyTree, duty: Duty, reliability: Scalar, tilt: Scalar
 ) -> Rating:
     read = admit(plan.layout, design, errors, jnp.broadcast_to(duty.output_torque, (phases,)), 0.0)
     given = under(duty, phases, design, read, reliability, tilt)
@@ -91,7 +93,7 @@ def _rating(
     return by_forces(plan, given, read.errors, forces)
 
 
-def under(duty: Duty, phases: int, design: RVReducer, read: Read, reliability: Scalar, tilt: Scalar) -> Entered:
+def under(duty: Duty, phases: int, design: PyTree, read: Read, reliability: Scalar, tilt: Scalar) -> Entered:
     """The numbers of a duty, checked.
 
     Args:
@@ -108,7 +110,7 @@ def under(duty: Duty, phases: int, design: RVReducer, read: Read, reliability: S
     )
 
 
-def by_forces(plan: Plan, given: Entered, errors: RVErrors, forces: BearingForces) -> Rating:
+def by_forces(plan: Plan, given: Entered, errors: PyTree, forces: BearingForces) -> Rating:
     """Lives by the forces of a duty.
 
     Args:

@@ -1,0 +1,106 @@
+"""Lives of the eccentric bearings of a single-stage drive: reference case, both members, torque for a life."""
+
+import functools
+
+import numpy as np
+import pytest
+from cycloidal_cases import CASES, design_of, errors_of
+
+import rvjax
+from rvjax import Bearings, CycloidalErrors, RollerBearing, RVErrors, Status, catalogue, life
+from rvjax.units import rpm
+
+(CASE,) = (case for case in CASES if case["kind"] == "rating")
+ARM = RollerBearing(**CASE["design"]["bearings"]["arm"])
+DRIVE = design_of(CASE["design"]).replace(bearings=Bearings(arm=ARM))
+ERRORS, DUTY, PLAN = errors_of(CASE["errors"]), life.Duty(**CASE["duty"]), CASE["options"]
+RING = DRIVE.replace(member="ring")
+
+
+def rate(design, duty, **changes):
+    return rvjax.check(life.rating(design, CycloidalErrors(), duty, **(PLAN | dict(contact="linear") | changes)))
+
+
+def test_a_drive_agrees_with_the_independent_one():
+    found, expect = life.rating(DRIVE, ERRORS, DUTY, **PLAN), dict(CASE["expect"])
+    assert Status(int(found.info.status)).name == expect.pop("status")
+    assert found.support is None and found.support_load is None
+    assert np.shape(found.arm) == np.shape(found.arm_load) == (2, 1)
+    for field, value in expect.items():
+        np.testing.assert_allclose(getattr(found, field), value, rtol=1e-7, err_msg=field)
+    share = np.sum((found.life / found.arm) ** 1.125)
+    assert float(share) == pytest.approx(1, rel=1e-12)  # Eq. 24, over the discs
+    crank = np.abs(DUTY.output_speed) @ DUTY.time / np.sum(DUTY.time) * 29 * (1 + 1 / 29) / (2 * np.pi)
+    due = 1e6 * (34500 / np.asarray(found.arm_load)) ** (10 / 3) / crank  # the disc turns against the shaft
+    np.testing.assert_allclose(found.arm, due, rtol=1e-12)
+
+
+@functools.cache
+def by_member(member):
+    """Points of both rings, without errors, at equal torque and speed of the carrier against the ring."""
+    share = 30 / 29 if member == "ring" else 1.0
+    duty = life.Duty([-116.0 * share], [20 * rpm], [1.0])
+    design, duty = (RING, duty) if member == "ring" else (DRIVE, duty.replace(output_torque=np.array([116.0])))
+    return rate(design, duty, method="raceway")
+
+
+def test_both_members_have_the_same_lives():
+    """The inner ring turns against the disc in the sense of the output, or the other one."""
+    one, other = by_member("carrier"), by_member("ring")
+    for field in ("life", "arm", "arm_load", "static_safety"):
+        np.testing.assert_allclose(getattr(other, field), getattr(one, field), rtol=1e-7, err_msg=field)
+
+
+def test_without_errors_the_force_stands_in_the_inner_ring():
+    """Its points are loaded all the time, those of the disc in turn: a load that stands in one ring, by Eq. 10."""
+    one = by_member("carrier")
+    size = np.full((48, 1), 1000.0)
+    angle = -2 * np.pi * np.arange(48) / 48
+    turning = size * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    standing = life.bearing_life(ARM, turning, angle=angle, method="raceway").load / 1000
+    against = life.bearing_life(ARM, turning, angle=-angle, method="raceway").load / 1000
+    mean = rate(DRIVE, life.Duty([116.0], [20 * rpm], [1.0])).arm_load
+    ratio = np.asarray(one.arm_load / mean)
+    assert standing > against + 0.01
+    np.testing.assert_allclose(ratio, standing, atol=0.2 * float(standing - against))
+
+
+@pytest.mark.parametrize("design", [DRIVE, RING], ids=["carrier", "ring"])
+def test_a_torque_for_a_life_gives_it_back(design):
+    options = PLAN | dict(contact="linear", samples=5)
+    found = rvjax.check(life.rated_torque(design, CycloidalErrors(), life=2e7, output_speed=20 * rpm, **options))
+    assert float(found.torque) > 0
+    duty = life.Duty([float(found.torque)], [-20 * rpm], [1.0])
+    assert float(rate(design, duty, samples=5).life) == pytest.approx(2e7, rel=1e-8)
+
+
+PLACES = dict(disc_position=0.01, planet_position=0.0, support_span=0.03)
+
+
+@pytest.mark.parametrize(
+    ("bearings", "told"),
+    [
+        (None, "CycloidalReducer.bearings = None"),
+        (Bearings(arm=ARM, support=ARM), "Bearings.support: must be None for a CycloidalReducer"),
+        (Bearings(arm=ARM, **PLACES), r"Bearings.disc_position: must be None .*\(Bearings.support\) are not rated"),
+        (Bearings(arm=ARM, support=ARM.replace(contact_angle=0.2), preload=9.0), "Bearings.support: must be None"),
+        (Bearings(arm=ARM.replace(capacity=31.0)), "Bearings.arm.capacity = 31 N: must be"),
+    ],
+)
+def test_bearings_that_are_not_rated(bearings, told):
+    design = DRIVE.replace(bearings=bearings)
+    for call in (
+        lambda: life.rating(design, ERRORS, DUTY, **PLAN),
+        lambda: life.rated_torque(design, ERRORS, life=1e7, output_speed=1.0),
+    ):
+        with pytest.raises(ValueError, match=told):
+            call()
+
+
+def test_errors_and_arguments_of_the_other_kind():
+    with pytest.raises(ValueError, match="a CycloidalReducer takes CycloidalErrors, got RVErrors"):
+        life.rating(DRIVE, RVErrors(), DUTY)
+    with pytest.raises(ValueError, match="sun = 'floating'"):
+        life.rating(DRIVE, ERRORS, DUTY, sun="floating")
+    with pytest.raises(ValueError, match="kind RVReducer or CycloidalReducer, got"):
+        life.rating(catalogue.RV_40E.cycloid, ERRORS, DUTY)
