@@ -21,14 +21,11 @@ class Conditions:
     output_torque: float = condition(0.0, "torque of the discs on the carrier", unit="N m", torque=True)
 
 
-DRIVE_TORQUE = "torque of the discs on the output"
-
-
 @dataclass(frozen=True)
 class DriveConditions:
     """Load of the nominal contact pressures of a single-stage drive."""
 
-    output_torque: float = condition(0.0, DRIVE_TORQUE, unit="N m", torque=True)
+    output_torque: float = condition(0.0, "torque of the discs on the output", unit="N m", torque=True)
 
 
 def of_design(design: RVReducer, errors: RVErrors, given: Any) -> Figures:

@@ -4,7 +4,6 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
-from rvjax.geometry.outputs import DRIVE_TORQUE
 from rvjax.loaded.inputs import SUPPORTS
 from rvjax.loaded.laws import CONTACTS
 from rvjax.outputs import condition
@@ -33,7 +32,10 @@ class Conditions:
 
 def _of_drive() -> list[tuple[str, Any, Any]]:
     """The same conditions, but those of a first stage."""
-    said = {"output_torque": DRIVE_TORQUE, "second_torque": "of the discs on the output, the second one"}
+    said = {
+        "output_torque": "torque of the discs on the output",
+        "second_torque": "of the discs on the output, the second one",
+    }
     said["input_angle"] = "of the shaft, at which the bench twists the output"
     return [
         (f.name, Any, dataclasses.field(default=f.default, metadata={**f.metadata, "meaning": meaning}))

@@ -265,8 +265,8 @@ DESCRIPTION = Description(
 )  # fmt: skip
 
 _ALIKE = (
-    "loaded_transmission_error second_transmission_error unloaded_transmission_error mean_shift order_amplitude pin_force "
-    "pin_pressure turn_pin_pressure disc_sharing backlash bench_lost_motion torsional_stiffness"
+    "loaded_transmission_error second_transmission_error unloaded_transmission_error mean_shift order_amplitude "
+    "pin_force pin_pressure turn_pin_pressure disc_sharing backlash bench_lost_motion torsional_stiffness"
 )
 OTHERS = (
     replace(

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from rvjax._reducer.plausible import shown
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.geometry import least_convex_radius
+from rvjax.records import Scalar
 from rvjax.study.kinds.kind import Assumed, Kind, Numbers, Start
 from rvjax.study.values import in_unit
 
@@ -47,7 +48,7 @@ def facts(design: CycloidalReducer) -> Iterator[tuple[str, str]]:
     yield "wall outside the holes", shown(_root(design) - output.circle_radius - hole, "m")
 
 
-def _exact(length: float) -> str:
+def _exact(length: Scalar) -> str:
     """A length as drawings give it."""
     return f"{1e3 * float(length):.6g} mm"
 
@@ -87,8 +88,8 @@ def _discs(design: CycloidalReducer) -> str:
         return f"{discs}, equal parts"
     fits = next(n for n in range(pins + 1, pins + 2 * discs * teeth + 1) if _alike(n, teeth, discs))
     return (
-        f"{discs}, different parts: holes turned by {360 / (teeth * discs):.4g} deg against the lobes (equal parts with "
-        f"{fits} output pins)"
+        f"{discs}, different parts: holes turned by {360 / (teeth * discs):.4g} deg against the lobes "
+        f"(equal parts with {fits} output pins)"
     )
 
 
@@ -141,8 +142,8 @@ def doubts(design: CycloidalReducer) -> list[str]:
             )
     if design.contact is not None and output.pin_radius > CONFORMAL * cycloid.eccentricity:
         found.append(
-            f"design.output.pin_radius = {shown(output.pin_radius, 'm')}: more than ten times the eccentricity; pin and "
-            'hole are too alike for contact = "hertz"'
+            f"design.output.pin_radius = {shown(output.pin_radius, 'm')}: more than ten times the eccentricity; "
+            'pin and hole are too alike for contact = "hertz"'
         )
     return found
 
