@@ -156,7 +156,7 @@ def test_batches_and_a_floating_sun():
     design = catalogue.CYCLOIDAL_15
     throws = jnp.outer(jnp.linspace(-20e-6, 20e-6, 5), jnp.array([1.0, -1.0]))
     error = lambda t: (
-        loaded.equilibrium(
+        loaded.equilibrium(  # noqa: E731
             design, CycloidalErrors(throw=t), input_angle=1.0, output_torque=5.0
         ).error
     )

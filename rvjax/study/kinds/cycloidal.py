@@ -14,7 +14,7 @@ from rvjax.study.values import in_unit
 RATED = {"cycloidal-15": 5.0, "cycloidal-17": 8.8, "cycloidal-29": 116.0}
 """Rated torque, N m."""
 PARTS = ("cycloid", "output", "stiffness", "contact", "bearings")
-INTERFERENCE = 0.1  # of the eccentricity; a smaller hole is a slip in the formula of its diameter
+INTERFERENCE = 0.1  # of the eccentricity; a smaller hole is a mistake in its diameter
 FAR_CLEARANCE = 1 / 25  # of the eccentricity; up to it the angles of the equilibrium hold within 1 %
 CONFORMAL = 10.0  # pin radius over eccentricity; beyond, pin and hole are too alike for the Hertzian theory
 HEAD = """# A study of the loaded drive to change, with the numbers of the {name}: replace them by those of your
@@ -138,7 +138,7 @@ def doubts(design: CycloidalReducer) -> list[str]:
         if clearance > most:
             found.append(
                 f"design.{name} = {shown(clearance, 'm')}: above eccentricity/25 = {shown(most, 'm')} forces are too "
-                "low, by up to a third for a printed drive"
+                "low, by up to a third at eccentricity/8"
             )
     if design.contact is not None and output.pin_radius > CONFORMAL * cycloid.eccentricity:
         found.append(
