@@ -98,5 +98,8 @@ BASES: dict[str, PyTree] = {
     "rv-40e-whole": RV_40E_WHOLE,
     "rv-80e": RV_80E,
     "rv-320e": RV_320E,
+    "cycloidal-15": CYCLOIDAL_15,
+    "cycloidal-17": CYCLOIDAL_17,
+    "cycloidal-29": CYCLOIDAL_29,
 }
 """Known reducers of every kind, by the name that study files give them."""

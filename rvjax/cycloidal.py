@@ -198,7 +198,9 @@ class CycloidalReducer(Record):
     stiffness: CycloidalStiffness | None = field("-", "stiffnesses of the bearings", kind="record", default=None)
     contact: Contact | None = field("-", "contact of discs and pins", kind="record", default=None)
     bearings: Bearings | None = field("-", "bearings of the eccentrics", kind="record", default=None)
-    member: str = text('the output: "carrier" (ring at rest) or "ring" (carrier at rest)', default="carrier")
+    member: str = text(
+        'the output: "carrier" (ring at rest) or "ring" (carrier at rest)', default="carrier", choices=MEMBERS
+    )
 
     @property
     def ratio(self) -> float:

@@ -6,13 +6,13 @@ to the other layers: a new error is one field.
 """
 
 from collections.abc import Iterable, Mapping
-from typing import Any, ClassVar, Self, TypeVar
+from typing import ClassVar, Self
 
 import jax
 import jax.numpy as jnp
 
 from rvjax._reducer.deviations import STAGES, Bound, Errors, described, deviation, part, placed_by, read_by
-from rvjax.records import Design, Scalar, record
+from rvjax.records import Scalar, record
 
 __all__ = ["STAGES", "Bound", "CamRollerErrors", "Errors", "RVErrors", "described", "deviation", "part"]
 __all__ += ["placed_by", "read_by"]
@@ -42,9 +42,6 @@ def _tangential(offsets: jax.Array) -> jax.Array:
 def _range(pitch: jax.Array) -> jax.Array:
     """Largest less smallest, of the worst disc."""
     return jnp.max(jnp.max(pitch, axis=-1) - jnp.min(pitch, axis=-1)) if pitch.ndim else 0 * pitch
-
-
-Sprung = TypeVar("Sprung", bound=Design)
 
 
 @record
@@ -246,16 +243,6 @@ class RVErrors(Errors):
     ring_flank: Scalar = deviation(
         "m", "pins of the ring; > 0 is material", RING, ("dynamics",), shape=("ring_orders", 2), series=True
     )
-
-    def stiffened(self, design: Sprung) -> Sprung:
-        """The design with the stiffness of this unit, for the models that read it."""
-        springs: Any = getattr(design, "stiffness", None)
-        if springs is None:
-            return design
-        paths = {name: path.split(".") for name, path in described(self, "of").items()}
-        shares = {path[1]: getattr(self, name) for name, path in paths.items() if path[0] == "stiffness"}
-        own = {name: getattr(springs, name) * (1 + share) for name, share in shares.items()}
-        return design.replace(stiffness=springs.replace(**own))
 
     def bounded(self, names: Iterable[str]) -> Self:
         """The same errors with some bounds without a place as what they bound: of one unit, one home.

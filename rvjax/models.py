@@ -17,7 +17,10 @@ MODELS = (
     "rvjax.life",
     "rvjax.geometry",
 )
-"""Packages, each with `outputs.DESCRIPTION`; the first required output whose model has a curve gives the plot."""
+"""Packages, each with `outputs.DESCRIPTION`, and with `outputs.OTHERS` where another kind of design has other outputs.
+
+The first required output whose model has a curve gives the plot.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,7 +71,8 @@ class Kind:
 
 def descriptions() -> tuple[Description, ...]:
     """Descriptions of all models."""
-    return tuple(importlib.import_module(f"{name}.outputs").DESCRIPTION for name in MODELS)
+    modules = [importlib.import_module(f"{name}.outputs") for name in MODELS]
+    return tuple(one for module in modules for one in (module.DESCRIPTION, *getattr(module, "OTHERS", ())))
 
 
 def tables() -> set[str]:

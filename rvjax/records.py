@@ -90,14 +90,15 @@ def count(meaning: str, *, minimum: int = 1, maximum: int = 1_000_000) -> Any:
     return dataclasses.field(metadata=dict(unit="-", meaning=meaning, minimum=minimum, maximum=maximum, kind="count"))
 
 
-def text(meaning: str, *, default: object = dataclasses.MISSING) -> Any:
+def text(meaning: str, *, default: object = dataclasses.MISSING, choices: tuple[str, ...] = ()) -> Any:
     """Declare a static text field, such as the names of a result's columns.
 
     Args:
         meaning: one line.
         default: as in dataclasses.
+        choices: words, one of which a study file may give.
     """
-    return dataclasses.field(default=default, metadata=dict(unit="-", meaning=meaning, kind="text"))
+    return dataclasses.field(default=default, metadata=dict(unit="-", meaning=meaning, kind="text", choices=choices))
 
 
 class Record:

@@ -8,13 +8,15 @@ import inspect
 import warnings
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rvjax.records import Design, PyTree, Record, Shape, broadcast_fields, field
+
+Sprung = TypeVar("Sprung", bound=Design)
 
 STAGES: dict[str, str] = {}
 """Stage of each part that errors belong to; of an RV reducer as in its design."""
@@ -62,7 +64,7 @@ def deviation(
         meaning: one line.
         part: of the reducer, from `part`.
         read_by: models that read the field, such as "four_bar". A share of a stiffness is read by none: see
-            `RVErrors.stiffened`.
+            `Errors.stiffened`.
         of: what it deviates from, by its path in the design; "" where that is no number of it.
         shape: names or numbers of axes; () is a scalar.
         sign: "positive", "nonnegative" or "any".
@@ -166,3 +168,13 @@ class Errors(Record):
             )
         full = broadcast_fields(cls, design.counts, errors)
         return cls(**full | {name: 0.0 for name in described(cls, "placed") if name not in errors})
+
+    def stiffened(self, design: Sprung) -> Sprung:
+        """The design with the stiffness of this unit, for the models that read it."""
+        springs: Any = getattr(design, "stiffness", None)
+        if springs is None:
+            return design
+        paths = {name: path.split(".") for name, path in described(self, "of").items()}
+        shares = {path[1]: getattr(self, name) for name, path in paths.items() if path[0] == "stiffness"}
+        own = {name: getattr(springs, name) * (1 + share) for name, share in shares.items()}
+        return design.replace(stiffness=springs.replace(**own))

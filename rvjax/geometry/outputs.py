@@ -6,6 +6,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
+from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.geometry.figures import Figures, figures
@@ -20,6 +21,13 @@ class Conditions:
     output_torque: float = condition(0.0, "torque of the discs on the carrier", unit="N m", torque=True)
 
 
+@dataclass(frozen=True)
+class DriveConditions:
+    """Load of the nominal contact pressures of a single-stage drive."""
+
+    output_torque: float = condition(0.0, "torque of the discs on the output", unit="N m", torque=True)
+
+
 def of_design(design: RVReducer, errors: RVErrors, given: Any) -> Figures:
     """Figures of the design; errors are not read."""
     return figures(design, given.output_torque)
@@ -28,7 +36,7 @@ def of_design(design: RVReducer, errors: RVErrors, given: Any) -> Figures:
 def _taking(name: str) -> Callable[..., Solved]:
     def take(found: Figures, design: RVReducer, given: Any) -> Solved:
         status = jnp.asarray(found.info.status)
-        if name != "pin_pressure":  # the other figures hold for an undercut flank too
+        if name not in ("pin_pressure", "hole_pressure"):  # the other figures hold for an undercut flank too
             status = jnp.where(status == Status.UNDERCUT, Status.CONVERGED, status)
         return getattr(found, name), status
 
@@ -72,3 +80,27 @@ DESCRIPTION = Description(
     },
     unknown="housing, pins and bearings in the mass; elastic sharing of the nominal pin pressure",
 )
+
+_SHARED = ("shortening", "convex_radius", "pin_gap", "flank_slope", "envelope_diameter", "envelope_volume")
+OTHERS = (
+    Description(
+        name="geometry",
+        design=CycloidalReducer,
+        conditions=DriveConditions,
+        outputs={name: DESCRIPTION.outputs[name] for name in (*_SHARED, "nominal_pin_pressure")}
+        | {
+            "nominal_hole_pressure": _figure(
+                "Pa",
+                "largest contact pressure of an output pin, rigid discs, no errors",
+                "hole_pressure",
+                None,
+                "contact",
+            ),
+            "hole_gap": _figure("m", "gap between neighbouring holes of a disc", "hole_gap", "mm"),
+            "hole_wall": _figure("m", "from the holes to the roots of the disc teeth", "hole_wall", "mm"),
+            "eccentric_force": _figure("N", "mean force of an eccentric bearing, rigid discs", "eccentric_force"),
+        },
+        unknown="elastic sharing and clearances in the nominal contact pressures and the force of an eccentric bearing",
+    ),
+)
+"""Of single-stage drives."""

@@ -1,6 +1,8 @@
 """Operating conditions of the whole reducer under load, for its outputs and its bench observations."""
 
+import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 from rvjax.loaded.inputs import SUPPORTS
 from rvjax.loaded.laws import CONTACTS
@@ -28,6 +30,25 @@ class Conditions:
     sun: str = condition("fixed", "centre of the sun", choices=SUPPORTS)
 
 
-def ways(given: Conditions) -> dict[str, str]:
+def _of_drive() -> list[tuple[str, Any, Any]]:
+    """The same conditions, but those of a first stage."""
+    said = {
+        "output_torque": "torque of the discs on the output",
+        "second_torque": "of the discs on the output, the second one",
+    }
+    said["input_angle"] = "of the shaft, at which the bench twists the output"
+    return [
+        (f.name, Any, dataclasses.field(default=f.default, metadata={**f.metadata, "meaning": meaning}))
+        for f in dataclasses.fields(Conditions)
+        if f.name != "sun"
+        for meaning in (said.get(f.name, f.metadata["meaning"]),)
+    ]
+
+
+DriveConditions = dataclasses.make_dataclass("DriveConditions", _of_drive(), frozen=True)
+"""Conditions of a single-stage drive."""
+
+
+def ways(given: Any) -> dict[str, str]:
     """Methods of the equilibrium, as its keyword arguments."""
-    return dict(contact=given.pin_contact, carrier=given.carrier, sun=given.sun)
+    return dict(contact=given.pin_contact, carrier=given.carrier, sun=getattr(given, "sun", "fixed"))

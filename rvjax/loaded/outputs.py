@@ -13,11 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.compile_cache import QUICK
-from rvjax.designs import Contact, RVReducer, Stiffness
+from rvjax.catalogue import part_class
+from rvjax.cycloidal import CycloidalReducer
+from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.loaded.cases import cases
 from rvjax.loaded.clearance import clearance
-from rvjax.loaded.conditions import Conditions, ways
+from rvjax.loaded.conditions import Conditions, DriveConditions, ways
 from rvjax.loaded.equilibrium import equilibrium
 from rvjax.loaded.inputs import check_teeth
 from rvjax.loaded.kinds import check_input
@@ -120,8 +122,9 @@ def _carrying(outputs: dict[str, Output]) -> dict[str, Output]:
 
     def refusing(own: Refuse | None) -> Refuse:
         def refuse(design: RVReducer, given: Conditions) -> None:
-            for part, cls in (("stiffness", Stiffness), ("contact", Contact)):
+            for part in ("stiffness", "contact"):
                 if getattr(design, part) is None:
+                    cls = part_class(type(design), part)
                     keys = ", ".join(f.name for f in dataclasses.fields(cls) if f.default is dataclasses.MISSING)
                     raise ValueError(f"design.{part} is missing: a reducer under load needs it, with {keys}")
             if own is not None:
@@ -260,3 +263,40 @@ DESCRIPTION = Description(
     },
     work={turn: _along, second_turn: _along, LOST_MOTION: _at_the_bench},
 )  # fmt: skip
+
+_ALIKE = (
+    "loaded_transmission_error second_transmission_error unloaded_transmission_error mean_shift order_amplitude "
+    "pin_force pin_pressure turn_pin_pressure disc_sharing backlash bench_lost_motion torsional_stiffness"
+)
+OTHERS = (
+    replace(
+        DESCRIPTION,
+        design=CycloidalReducer,
+        conditions=DriveConditions,
+        outputs={name: DESCRIPTION.outputs[name] for name in _ALIKE.split()}
+        | _carrying({
+            "arm_bearing_force": _of_turn(
+                "N", "largest force of an eccentric bearing over the span", "largest_arm_bearing"
+            ),
+            "support_bearing_force": _of_turn(
+                "N", "largest force of the shaft on its supports over the span", "largest_support_bearing"
+            ),
+            "hole_force": _of_turn("N", "largest force of an output pin over the span", "largest_output_pin"),
+            "hole_pressure": _of_turn(
+                "Pa", "largest contact pressure of an output pin over the span", "largest_output_pressure"
+            ),
+        })
+        | {
+            "fit_clearance": Output(
+                "m", "least clearance of pins and holes over the span, discs and carrier turned to where it is largest",
+                _clearance, below_zero="interference, the drive jams or is preloaded", costly=False,
+            )
+        },
+        cases=None,
+        observations=(),
+        unknown="friction, tilting, inertia, twist of the shaft, creep and heat of polymers; rollers are assumed where "
+        "ball bearings carry; forces for clearances above eccentricity/25",
+        usual={},
+    ),
+)  # fmt: skip
+"""Of single-stage drives."""

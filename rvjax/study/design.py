@@ -96,6 +96,8 @@ def _values(cls: type, table: object, where: str, base: Record | None) -> dict[s
             values[key] = _made(part_class(cls, key), value, name) if own is None else _changed(own, value, name)
         elif about["kind"] == "count":
             values[key] = integer(value, name, about["minimum"], about["maximum"])
+        elif about["kind"] == "text":
+            values[key] = choice(value, about["choices"], name)
         else:
             values[key] = quantities(value, about["unit"], name)
     return values

@@ -125,6 +125,8 @@ def lines(given: Known, more: Mapping[str, Assumed], parts: Collection[str], *, 
 def _text(value: PyTree, about: Metadata, *, exact: bool) -> str:
     if about["kind"] == "count":
         return str(value)
+    if about["kind"] == "text":
+        return f'"{value}"'
     if np.ndim(value):
         return f"[{', '.join(_text(float(item), about, exact=exact) for item in value)}]"
     if about["unit"] == "-":

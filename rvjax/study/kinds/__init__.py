@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterable, Mapping
 
 from rvjax.records import PyTree, Scalar
-from rvjax.study.kinds import cam_roller, rv
+from rvjax.study.kinds import cam_roller, cycloidal, rv
 from rvjax.study.kinds.following import (
     Law as Law,
     fields_of as fields_of,
@@ -16,7 +16,7 @@ from rvjax.study.kinds.kind import Assumed as Assumed, Drawing as Drawing, Kind 
 
 __all__ = ["KINDS", "Kind", "changed", "facts_of", "kind_of", "orders_of"]
 
-KINDS: dict[type, Kind] = {kind.design: kind for kind in (rv.KIND, cam_roller.KIND)}
+KINDS: dict[type, Kind] = {kind.design: kind for kind in (rv.KIND, cam_roller.KIND, cycloidal.KIND)}
 """By the class of the design. A new kind of reducer is a module here, and its `KIND` in this tuple."""
 
 

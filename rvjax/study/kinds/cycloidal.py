@@ -1,0 +1,166 @@
+"""Single-stage cycloidal drives: what follows from their numbers, and numbers that do not fit together."""
+
+import math
+import re
+from collections.abc import Iterator
+
+from rvjax._reducer.plausible import shown
+from rvjax.cycloidal import CycloidalReducer
+from rvjax.geometry import least_convex_radius
+from rvjax.records import Scalar
+from rvjax.study.kinds.kind import Assumed, Kind, Numbers, Start
+from rvjax.study.values import in_unit
+
+RATED = {"cycloidal-15": 5.0, "cycloidal-17": 8.8, "cycloidal-29": 116.0}
+"""Rated torque, N m."""
+PARTS = ("cycloid", "output", "stiffness", "contact", "bearings")
+INTERFERENCE = 0.1  # of the eccentricity; a smaller hole is a mistake in its diameter
+FAR_CLEARANCE = 1 / 25  # of the eccentricity; up to it the angles of the equilibrium hold within 1 %
+CONFORMAL = 10.0  # pin radius over eccentricity; beyond, pin and hole are too alike for the Hertzian theory
+HEAD = """# A study of the loaded drive to change, with the numbers of the {name}: replace them by those of your
+# drawing, then run rvjax check on this file. Tolerances, costs and limits are those of the study cycloidal-17.
+
+"""
+
+
+def facts(design: CycloidalReducer) -> Iterator[tuple[str, str]]:
+    """(name, value) of what follows from the numbers of a design."""
+    cycloid, output = design.cycloid, design.output
+    sense = "opposite to the input" if design.ratio < 0 else "with the input"
+    k1 = cycloid.shortening_coefficient
+    least = float(least_convex_radius(k1, pins=cycloid.pin_count)) * cycloid.pin_circle_radius
+    sharp = "undercut" if cycloid.pin_radius >= least else "no undercut"
+    hole = _hole(design)
+    yield "ratio", f"{abs(design.ratio)}:1, output {sense}"
+    yield (
+        "hole diameter",
+        f"{_exact(2 * hole)} = pin {_exact(2 * output.pin_radius)} + 2 x {_exact(cycloid.eccentricity)} + clearance "
+        f"{shown(output.hole_clearance, 'm')}",
+    )
+    yield "discs", _discs(design)
+    yield "K1", f"{float(k1):.4g}"
+    yield "gap between pins", shown(2 * (_half_pitch(design) - cycloid.pin_radius), "m")
+    yield (
+        "largest pin without undercut",
+        f"{shown(least, 'm')} radius; the pins have {shown(cycloid.pin_radius, 'm')}: {sharp}",
+    )
+    yield "gap between holes", shown(2 * (_half_spacing(design) - hole), "m")
+    yield "wall outside the holes", shown(_root(design) - output.circle_radius - hole, "m")
+
+
+def _exact(length: Scalar) -> str:
+    """A length as drawings give it."""
+    return f"{1e3 * float(length):.6g} mm"
+
+
+def _hole(design: CycloidalReducer) -> float:
+    """Radius of the holes, m."""
+    return float(design.output.pin_radius + design.cycloid.eccentricity + design.output.hole_clearance / 2)
+
+
+def _half_spacing(design: CycloidalReducer) -> float:
+    """Half of the distance of neighbouring holes, m."""
+    return float(design.output.circle_radius * math.sin(math.pi / design.output.count))
+
+
+def _half_pitch(design: CycloidalReducer) -> float:
+    """Half of the distance of neighbouring pins of the ring, m."""
+    return float(design.cycloid.pin_circle_radius * math.sin(math.pi / design.cycloid.pin_count))
+
+
+def _root(design: CycloidalReducer) -> float:
+    """Radius at which the teeth of the discs end, m."""
+    cycloid = design.cycloid
+    return float(cycloid.pin_circle_radius - cycloid.pin_radius - cycloid.eccentricity)
+
+
+def _alike(pins: int, teeth: int, discs: int) -> bool:
+    """True if one part serves as every disc: the pattern of holes repeats in the turn between two of them."""
+    return pins // math.gcd(pins, teeth) % discs == 0
+
+
+def _discs(design: CycloidalReducer) -> str:
+    """Number of discs, and whether they are equal parts."""
+    pins, teeth, discs = design.output.count, design.cycloid.disc_teeth, design.cycloid.disc_count
+    if discs == 1:
+        return "1"
+    if _alike(pins, teeth, discs):
+        return f"{discs}, equal parts"
+    fits = next(n for n in range(pins + 1, pins + 2 * discs * teeth + 1) if _alike(n, teeth, discs))
+    return (
+        f"{discs}, different parts: holes turned by {360 / (teeth * discs):.4g} deg against the lobes "
+        f"(equal parts with {fits} output pins)"
+    )
+
+
+def refuse(design: CycloidalReducer) -> None:
+    """Raise an error for parts that do not fit into each other.
+
+    Raises:
+        ValueError: names the key, its value and what it collides with.
+    """
+    cycloid, output, hole = design.cycloid, design.output, _hole(design)
+    if output.hole_clearance < -INTERFERENCE * cycloid.eccentricity:
+        due = _exact(2 * (output.pin_radius + cycloid.eccentricity))
+        raise ValueError(
+            f"design.output.hole_clearance = {shown(output.hole_clearance, 'm')}: holes must have pin diameter + 2 "
+            f"eccentricity = {due}, here they have {_exact(2 * hole)}"
+        )
+    if cycloid.pin_radius >= (pitch := _half_pitch(design)):
+        raise ValueError(
+            f"design.cycloid.pin_radius = {shown(cycloid.pin_radius, 'm')}: the pins overlap from {shown(pitch, 'm')} "
+            f"on ({cycloid.pin_count} pins on a circle of radius {shown(cycloid.pin_circle_radius, 'm')})"
+        )
+    if hole >= (half := _half_spacing(design)):
+        raise ValueError(
+            f"design.output.pin_radius = {shown(output.pin_radius, 'm')}: the holes have a radius of "
+            f"{shown(hole, 'm')} and overlap from {shown(half, 'm')} on ({output.count} holes on a circle of radius "
+            f"{shown(output.circle_radius, 'm')})"
+        )
+    if output.circle_radius + hole >= (root := _root(design)):
+        raise ValueError(
+            f"design.output.circle_radius = {shown(output.circle_radius, 'm')}: the holes break out of the discs: they "
+            f"reach {shown(output.circle_radius + hole, 'm')} from the centre, the teeth end at {shown(root, 'm')}"
+        )
+
+
+def doubts(design: CycloidalReducer) -> list[str]:
+    """Numbers with which a drive does not turn freely, or for which the model is not accurate, a line each."""
+    cycloid, output = design.cycloid, design.output
+    most, found = FAR_CLEARANCE * cycloid.eccentricity, []
+    if output.hole_clearance < 0:
+        found.append(
+            f"design.output.hole_clearance = {shown(output.hole_clearance, 'm')}: interference, the output pins are "
+            "pressed into their holes"
+        )
+    flank, radial = float(cycloid.equidistant_modification), float(output.hole_clearance / 2)
+    for name, clearance in (("cycloid.equidistant_modification", flank), ("output.hole_clearance / 2", radial)):
+        if clearance > most:
+            found.append(
+                f"design.{name} = {shown(clearance, 'm')}: above eccentricity/25 = {shown(most, 'm')} forces are too "
+                "low, by up to a third at eccentricity/8"
+            )
+    if design.contact is not None and output.pin_radius > CONFORMAL * cycloid.eccentricity:
+        found.append(
+            f"design.output.pin_radius = {shown(output.pin_radius, 'm')}: more than ten times the eccentricity; "
+            'pin and hole are too alike for contact = "hertz"'
+        )
+    return found
+
+
+def _with_torque(text: str, numbers: Numbers, torque: Assumed | None) -> str:
+    """Tables of the example with the rated torque of this drive."""
+    if torque is None:
+        return text
+    return re.sub(r'(output_torque|rated_torque) = "[^"]*"', rf'\1 = "{in_unit(torque.value, "N m")}"', text)
+
+
+KIND = Kind(
+    design=CycloidalReducer,
+    name="a single-stage cycloidal drive",
+    facts=facts,
+    refuse=refuse,
+    doubts=doubts,
+    rated=RATED,
+    starts={"loaded": Start("cycloidal-17", PARTS, HEAD, tables=_with_torque)},
+)

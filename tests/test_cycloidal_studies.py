@@ -1,0 +1,191 @@
+"""Studies of single-stage drives: facts, impossible numbers, warnings, and the outputs under load.
+
+Oracles: the table of an independent solution with finite steps of the same drives (`docs/models/single_stage.md`),
+closed forms with pencil and paper, and the congruence of discs by exact fractions.
+"""
+
+import json
+import math
+from fractions import Fraction
+
+import pytest
+from scipy import stats
+
+from rvjax import cli, models, study
+from rvjax.catalogue import CYCLOIDAL_17, CYCLOIDAL_29
+from rvjax.commands.init import compute as init
+from rvjax.study.kinds import cycloidal, facts_of
+from rvjax.study.response import Response
+from rvjax.units import MPa, arcmin, um
+
+HEAD = '[design]\nbase = "cycloidal-17"\n'
+TAIL = """
+[conditions]
+output_torque = "8.8 N m"
+{conditions}
+[tolerances.throw]
+half_width = "10 um"
+[requirement.{response}]
+upper = "1 {unit}"
+"""
+
+
+def text(design="", conditions="", response="hole_force", unit="N"):
+    """Text of a study of the milled drive."""
+    return HEAD + design + TAIL.format(conditions=conditions, response=response, unit=unit)
+
+
+def test_facts_of_the_known_drives():
+    found = dict(facts_of(CYCLOIDAL_17))
+    assert found.pop("largest pin without undercut").endswith("the pins have 2.5 mm: no undercut")
+    assert found == {
+        "ratio": "17:1, output opposite to the input",
+        "hole diameter": "8.27 mm = pin 5 mm + 2 x 1.6 mm + clearance 70 um",
+        "discs": "2, equal parts",
+        "K1": "0.6776",  # 1.6 * 18 / 42.5
+        "gap between pins": "9.76 mm",  # 2 (42.5 sin 10 deg - 2.5)
+        "gap between holes": "24.03 mm",  # 2 (32.3 sin 30 deg - 4.135)
+        "wall outside the holes": "1.965 mm",  # 42.5 - 2.5 - 1.6 - 32.3 - 4.135
+    }
+    assert dict(facts_of(CYCLOIDAL_17.replace(member="ring")))["ratio"] == "18:1, output with the input"
+    one = CYCLOIDAL_17.replace(cycloid=CYCLOIDAL_17.cycloid.replace(disc_count=1))
+    assert dict(facts_of(one))["discs"] == "1"
+
+
+def test_discs_that_are_different_parts():
+    cycloid = CYCLOIDAL_17.cycloid.replace(disc_teeth=20, pin_count=21, eccentricity=1.2e-3)
+    design = CYCLOIDAL_17.replace(cycloid=cycloid, output=CYCLOIDAL_17.output.replace(count=4))
+    due = "2, different parts: holes turned by 9 deg against the lobes (equal parts with 8 output pins)"
+    assert dict(facts_of(design))["discs"] == due
+
+
+def test_equal_discs_are_congruent():
+    """Lobes of disc k are turned by k/nd of a pitch; some turn that keeps the holes has to do the same."""
+    for teeth in range(6, 40):
+        for pins in range(3, 14):
+            for discs in (2, 3):
+                alike = all(
+                    any((teeth * Fraction(turn, pins) - Fraction(k, discs)).denominator == 1 for turn in range(pins))
+                    for k in range(discs)
+                )
+                assert cycloidal._alike(pins, teeth, discs) == alike, (teeth, pins, discs)
+
+
+@pytest.mark.parametrize(
+    ("design", "words"),
+    [
+        ('output.pin_radius = "15 mm"', r"design.output.pin_radius = 15 mm: .* overlap from 16.15 mm on"),
+        ('output.circle_radius = "35 mm"', r"design.output.circle_radius = 35 mm: the holes break out of the discs"),
+        ('cycloid.pin_radius = "8 mm"', r"design.cycloid.pin_radius = 8 mm: the pins overlap from 7.38 mm on"),
+        ('output.hole_clearance = "-1.6 mm"', r"holes must have pin diameter \+ 2 eccentricity = 8.2 mm, .* 6.6 mm"),
+        ('output.hole_clearance = "-0.161 mm"', "design.output.hole_clearance = -161 um: holes must have"),
+        ('output.hole_clearance = "-4 mm"', "hole_clearance = -0.004 m: must be larger than -2 eccentricity"),
+        ('member = "disc"', "design.member = 'disc': must be one of carrier, ring"),
+        ("member = 1", "design.member = 1: must be one of carrier, ring"),
+        ("cycloid.pin_count = 19", "pin_count = 19: must be disc_teeth"),
+        ('cranks.count = "2"', "unknown key design.cranks"),
+    ],
+)
+def test_numbers_that_no_drive_can_have(design, words):
+    with pytest.raises(study.StudyError, match=words) as raised:
+        study.parse_study(text(f"{design}\n"), name="x", solve=False)
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (dict(conditions='sun = "floating"'), "conditions.sun"),
+        (dict(response="crank_sharing"), "crank_sharing"),
+        (dict(response="flank_clearance"), "flank_clearance"),
+        (dict(response="transmission_error"), "transmission_error"),
+        (dict(response="backlash", unit="arcmin"), "conditions.rated_torque is missing: backlash needs it"),
+    ],
+)
+def test_responses_and_conditions_that_this_kind_lacks(changes, words):
+    with pytest.raises(study.StudyError, match=words):
+        study.parse_study(text(**changes), name="x", solve=False)
+    with pytest.raises(study.StudyError, match="crank_eccentricity"):
+        study.parse_study(text().replace("tolerances.throw", "tolerances.crank_eccentricity"), name="x", solve=False)
+
+
+def test_a_drive_without_what_a_load_needs_names_the_keys_of_its_own_kind():
+    bare = 'kind = "cycloidal"\ncycloid = {disc_teeth = 17, pin_count = 18, disc_count = 1, eccentricity = "1.6 mm", '
+    bare += 'pin_circle_radius = "42.5 mm", pin_radius = "2.5 mm"}\n'
+    bare += 'output = {count = 6, circle_radius = "32.3 mm", pin_radius = "2.5 mm"}\n'
+    with pytest.raises(study.StudyError, match=r"design.stiffness is missing: .*, with eccentric_bearing"):
+        study.parse_study(text().replace('base = "cycloidal-17"\n', bare), name="x", solve=False)
+    made = study.parse_study(text('member = "ring"\n'), name="x", solve=False)
+    assert made.design.member == "ring" and made.design.ratio == 18
+    assert 'member = "carrier"' in init.written("cycloidal-17").text
+
+
+def test_warnings():
+    def doubts(design):
+        return study.parse_study(text(design), name="x", solve=False).doubts
+
+    assert doubts("") == [] and doubts('output.hole_clearance = "127 um"\n') == []  # radial: 63.5 um < 1.6 mm / 25
+    tight, wide, flank, thick = (
+        doubts(f"{line}\n")
+        for line in (
+            'output.hole_clearance = "-20 um"',
+            'output.hole_clearance = "129 um"',
+            'cycloid.equidistant_modification = "65 um"',
+            'output.pin_radius = "5 mm"\noutput.circle_radius = "29 mm"\ncycloid.eccentricity = "0.49 mm"',
+        )
+    )
+    assert len(tight) == 1 and tight[0].startswith("design.output.hole_clearance = -20 um: interference")
+    assert len(wide) == 1 and wide[0].startswith("design.output.hole_clearance / 2 = 64.5 um: above eccentricity/25")
+    assert len(flank) == 1 and flank[0].startswith("design.cycloid.equidistant_modification = 65 um: above ecc")
+    assert any(line.startswith("design.output.pin_radius = 5 mm: more than ten times the ecc") for line in thick)
+
+
+TABLE = {  # 8.8 N m, hertz, no errors: backlash, stiffness, pins, holes, their pressures, eccentric bearing, fit
+    "backlash": (23.916, arcmin),
+    "torsional_stiffness": (6.4845, 1 / arcmin),
+    "pin_force": (163.66, 1),
+    "hole_force": (136.22, 1),
+    "turn_pin_pressure": (490.6, MPa),
+    "hole_pressure": (249.6, MPa),
+    "arm_bearing_force": (223.0, 1),
+    "fit_clearance": (35, um),
+}
+
+
+def test_outputs_are_those_of_the_table():
+    given = models.kind(CYCLOIDAL_17).conditions(output_torque=8.8, rated_torque=8.8, samples=12)
+    found = Response.of(CYCLOIDAL_17, tuple(TABLE), given)(CYCLOIDAL_17.error_record())
+    for name, (value, size) in TABLE.items():
+        assert float(found.value[name]) / size == pytest.approx(value, rel=2e-3), name
+
+
+def test_figures_of_the_geometry():
+    kind = models.kind(CYCLOIDAL_29)
+    given = kind.conditions(output_torque=116.0)
+    names = ("hole_gap", "hole_wall", "nominal_hole_pressure", "eccentric_force")
+    gap, wall, pressure, force = (
+        float(kind.outputs[n].evaluate(CYCLOIDAL_29, CYCLOIDAL_29.error_record(), given)[0]) for n in names
+    )
+    assert gap == pytest.approx(2 * (33.875e-3 * math.sin(math.pi / 4) - 7.26e-3))
+    assert wall == pytest.approx(52.5e-3 - 3.5e-3 - 1.25e-3 - 33.875e-3 - 7.26e-3)
+    across = 58 / (1.25e-3 * 29)  # half of the torque on each disc
+    k1 = 1.25 * 30 / 52.5
+    ring = 2 / math.pi * across * (1 - (1 - k1**2) / (2 * k1) * math.log((1 + k1) / (1 - k1))) / k1
+    assert force == pytest.approx(math.hypot(across, ring - 4 * 58 / (math.pi * 33.875e-3)))
+    share = 2 * (1 - 0.3**2) / 206e9  # of both bodies
+    load = 58 / 33.875e-3 / 13.5e-3  # four pins: one of them alone, at most
+    assert pressure == pytest.approx(math.sqrt(load / (math.pi * share) * (1 / 6e-3 - 1 / 7.26e-3)), rel=1e-6)
+
+
+def test_the_share_of_units_that_jam(tmp_path, capsys):
+    """Flanks alone vary, about 10 um with 3 sigma = 30 um, in holes that are wider: a share of Phi(-1) jams."""
+    vary = text(
+        'cycloid.equidistant_modification = "10 um"\n', "samples = 4", response="fit_clearance", unit="um"
+    ).replace('throw]\nhalf_width = "10 um"', 'equidistant_modification]\nhalf_width = "30 um"')
+    (tmp_path / "flank.toml").write_text(vary.replace('upper = "1 um"', 'lower = "0 um"\ntarget = 0.99'))
+    command = ["montecarlo", str(tmp_path / "flank.toml"), "--samples", "4096", "--quiet", "--format", "json"]
+    assert cli.main(command) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["failed"] == 0
+    assert 1 - found["yield_"]["fit_clearance"]["value"] == pytest.approx(stats.norm.cdf(-1), abs=0.02)
+    assert found["mean"]["fit_clearance"]["value"] == pytest.approx(10 * um, abs=0.6 * um)
