@@ -273,7 +273,7 @@ def test_a_design_of_another_kind_is_refused_by_name(name):
     takes, got = ("CamRollerReducer", "RVReducer") if of_rollers else ("RVReducer", "CamRollerReducer")
     with pytest.raises(ValueError, match="takes a design") as refused:
         WRONG[name](wrong, errors)
-    told = rf"{name.split('.')[0]}\S*: takes a design of kind {takes}( or Lumped)?, got {got}"
+    told = rf"{name.split('.')[0]}\S*: takes a design of kind {takes}( or Lumped| or CycloidalReducer)?, got {got}"
     assert re.fullmatch(told, str(refused.value))
 
 

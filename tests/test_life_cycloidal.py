@@ -65,7 +65,7 @@ def test_without_errors_the_force_stands_in_the_inner_ring():
     np.testing.assert_allclose(ratio, standing, atol=0.2 * float(standing - against))
 
 
-@pytest.mark.parametrize("design", [DRIVE, RING], ids=["carrier", "ring"])
+@pytest.mark.parametrize("design", [pytest.param(DRIVE, marks=pytest.mark.long), RING], ids=["carrier", "ring"])
 def test_a_torque_for_a_life_gives_it_back(design):
     options = PLAN | dict(contact="linear", samples=5)
     found = rvjax.check(life.rated_torque(design, CycloidalErrors(), life=2e7, output_speed=20 * rpm, **options))
