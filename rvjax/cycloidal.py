@@ -6,6 +6,7 @@ The carrier of the output pins is the output, or the ring of pins while the carr
 import dataclasses
 from typing import Any, ClassVar, Self
 
+import jax
 import numpy as np
 
 from rvjax._ground.choices import choose
@@ -152,6 +153,7 @@ class CycloidalErrors(Errors):
         of="output.circle_radius",
         placed=True,
         vector="polar",
+        carried_by="carrier",
     )
     output_pin_radius: Scalar = deviation(
         "m",
@@ -161,6 +163,7 @@ class CycloidalErrors(Errors):
         shape=("output_pins",),
         of="output.pin_radius",
         placed=True,
+        carried_by="carrier",
     )
     shaft_centre: Scalar = deviation(
         "m",
@@ -180,6 +183,7 @@ class CycloidalErrors(Errors):
         shape=(2,),
         placed=True,
         vector="xy",
+        carried_by="carrier",
     )
 
 
@@ -192,6 +196,7 @@ class CycloidalReducer(Record):
 
     kind: ClassVar[str] = "cycloidal"  # in study files
     error_record: ClassVar[type[CycloidalErrors]] = CycloidalErrors
+    places: ClassVar[str] = "output_pins"  # as in an RV reducer
 
     cycloid: CycloidStage = field("-", "discs and ring of pins", kind="record")
     output: OutputPins = field("-", "output pins in the holes of the discs", kind="record")
@@ -228,6 +233,25 @@ class CycloidalReducer(Record):
             "teeth": cycloid.disc_teeth,
             "output_pins": self.output.count,
         }
+
+    @property
+    def orders(self) -> dict[str, float]:
+        """Orders of the output turn that parts of the drive cause, as `RVReducer.orders`.
+
+        In a turn of the output the shaft turns zp times against the carrier and passes all holes each time, and zc
+        times against the ring and passes all its pins. Discs without errors make the orders of these passings.
+        """
+        teeth, pins = self.cycloid.disc_teeth, self.cycloid.pin_count
+        holes = self.output.count * pins
+        whole = {"disc teeth": teeth, "pins": pins, "twice the disc teeth": 2 * teeth, "twice the pins": 2 * pins}
+        whole |= {"holes": holes, "twice the holes": 2 * holes, "three times the holes": 3 * holes}
+        whole |= {"passing of the pins": teeth * pins}
+        whole |= {"shaft": abs(self.ratio), "shaft against the output": abs(self.ratio - 1)}
+        return {name: float(order) for name, order in whole.items()}
+
+    def stiffer(self, factor: Scalar) -> Self:
+        """Drive with all spring stiffnesses multiplied by a factor."""
+        return self.replace(stiffness=jax.tree.map(lambda k: factor * k, self.stiffness))
 
     def _check(self) -> None:
         choose("CycloidalReducer.member", self.member, MEMBERS)

@@ -240,6 +240,7 @@ class RVReducer(Record):
 
     kind: ClassVar[str] = "rv"  # in study files
     error_record: ClassVar[type[RVErrors]] = RVErrors
+    places: ClassVar[str] = "cranks"  # axis of the equal places round the main axis where discs and carrier meet
 
     involute: InvoluteStage = field("-", "first stage", kind="record")
     cycloid: CycloidStage = field("-", "second stage", kind="record")

@@ -1,13 +1,14 @@
 """Errors of one unit from measured parts: possible positions of a part, and its errors in each position.
 
-A disc may be turned by crank spacings, and turned over about the x axis, if its teeth are then where the slot
-requires them. Teeth: the tooth spaces of disc k are at (t - k/nd) 2 pi/zc at input angle 0, and tooth t is before its
-space (docs/models/loaded.md, Eqs. 2 and 6). So a disc made for slot k0, turned by i crank spacings, fits slot k where
+Disc and carrier meet at c equal places: the cranks of an RV reducer, the output pins of a single-stage drive. A disc may
+be turned by their spacing, and turned over about the x axis, if its teeth are then where the slot requires them. Teeth:
+the tooth spaces of disc k are at (t - k/nd) 2 pi/zc at input angle 0, and tooth t is before its space
+(docs/models/loaded.md, Eqs. 2 and 6). So a disc made for slot k0, turned by i spacings, fits slot k where
 
     i zc/c + (k -+ k0)/nd   is a whole number of teeth (- as it is, + turned over),
 
 and its tooth t becomes t + i zc/c + (k - k0)/nd, or 1 - t + i zc/c + (k + k0)/nd turned over. A carrier has no teeth:
-it may be turned by any number of crank spacings.
+it may be turned by any number of spacings.
 """
 
 from collections.abc import Mapping
@@ -18,9 +19,8 @@ import numpy as np
 
 from rvjax._ground.axes import axis_sizes
 from rvjax._ground.choices import unknown
-from rvjax.designs import RVReducer
-from rvjax.errors import RVErrors, described
-from rvjax.records import Array, Scalar
+from rvjax.errors import described
+from rvjax.records import Array, PyTree, Scalar
 
 AXES = {"disc": "discs", "crank": "cranks"}
 """Parts that a reducer has several of, and their axis in the arrays of errors."""
@@ -29,11 +29,11 @@ AXES = {"disc": "discs", "crank": "cranks"}
 class Mounting(NamedTuple):
     """A position of a disc in its slot."""
 
-    turn: int  # crank spacings, counter-clockwise
+    turn: int  # spacings of the places, counter-clockwise
     over: bool  # turned over about the x axis first
 
 
-def carried(design: RVReducer, part: str) -> dict[str, tuple[int, ...]]:
+def carried(design: PyTree, part: str) -> dict[str, tuple[int, ...]]:
     """Errors that one part carries from slot to slot, with their shapes: those of a disc as it lies in the slot it is
     made for, without the axis of discs; those of a crankshaft with its planet without the axis of cranks.
 
@@ -47,7 +47,7 @@ def carried(design: RVReducer, part: str) -> dict[str, tuple[int, ...]]:
     return {name: axis_sizes(left, design.counts) for name, left in own.items()}
 
 
-def disc_mountings(design: RVReducer, slot: int, *, made_for: int = 0) -> tuple[Mounting, ...]:
+def disc_mountings(design: PyTree, slot: int, *, made_for: int = 0) -> tuple[Mounting, ...]:
     """Positions in which a disc fits a slot, by index; empty where the slot needs another disc.
 
     Args:
@@ -55,18 +55,18 @@ def disc_mountings(design: RVReducer, slot: int, *, made_for: int = 0) -> tuple[
         slot: k, counted from 0.
         made_for: slot k0 of the drawing.
     """
-    zc, discs, cranks = design.cycloid.disc_teeth, design.cycloid.disc_count, design.cranks.count
+    zc, discs, places = (design.counts[axis] for axis in ("teeth", "discs", design.places))
     found = []
     for over in (False, True):
         start = made_for if over else -made_for
-        for turn in range(cranks):
-            if (turn * zc * discs + (slot + start) * cranks) % (cranks * discs) == 0:
+        for turn in range(places):
+            if (turn * zc * discs + (slot + start) * places) % (places * discs) == 0:
                 found.append(Mounting(turn, over))
     return tuple(found)
 
 
 def mounted_disc(
-    design: RVReducer, errors: Mapping[str, Scalar], slot: int, index: int | Array, *, made_for: int = 0
+    design: PyTree, errors: Mapping[str, Scalar], slot: int, index: int | Array, *, made_for: int = 0
 ) -> dict[str, Array]:
     """Errors of a disc in a slot.
 
@@ -87,23 +87,22 @@ def mounted_disc(
     for name in errors:
         if name not in shapes:
             raise unknown(f"disc_{slot}: {name} is no error of one disc", name, shapes, "; there are")
-    zc, discs, cranks = design.cycloid.disc_teeth, design.cycloid.disc_count, design.cranks.count
+    zc, discs, places = (design.counts[axis] for axis in ("teeth", "discs", design.places))
     hand = np.array([-1 if m.over else 1 for m in mountings])
     turn = np.array([m.turn for m in mountings])
-    # The crank, and the tooth, whose place number q has now.
-    crank = (hand[:, None] * (np.arange(cranks) - turn[:, None])) % cranks
+    # The bore or hole, and the tooth, whose place number q has now.
+    place = (hand[:, None] * (np.arange(places) - turn[:, None])) % places
     start = np.where(hand > 0, -made_for, made_for)
-    moved = (turn * zc * discs + (slot + start) * cranks) // (cranks * discs) + (hand < 0)
+    moved = (turn * zc * discs + (slot + start) * places) // (places * discs) + (hand < 0)
     tooth = (hand[:, None] * (np.arange(zc) - moved[:, None])) % zc
-    angle = 2 * np.pi * turn / cranks
-    turned = np.stack([np.cos(angle), -hand * np.sin(angle), np.sin(angle), hand * np.cos(angle)], 1).reshape(-1, 2, 2)
+    turned = _turns(2 * np.pi * turn / places, hand)
     found: dict[str, Array] = {}
     record = design.error_record
     axes, vectors, mirrored = (described(record, key) for key in ("shape", "vector", "mirrored"))
     for name, value in errors.items():
         given = jnp.asarray(value)
         moved = jnp.broadcast_to(given, shapes[name])
-        for axis, around in (("cranks", crank), ("teeth", tooth)):
+        for axis, around in ((design.places, place), ("teeth", tooth)):
             if axis in axes[name]:
                 moved = jnp.take(moved, jnp.asarray(around)[index], axis=axes[name].index(axis) - 1)  # no axis of discs
         if vectors.get(name) == "xy":
@@ -116,25 +115,26 @@ def mounted_disc(
 
 
 def unit_errors(
-    design: RVReducer, parts: Mapping[str, Mapping[str, Scalar]], index: Mapping[str, int | Array]
-) -> RVErrors:
-    """Errors of a unit from its parts.
+    design: PyTree, parts: Mapping[str, Mapping[str, Scalar]], index: Mapping[str, int | Array]
+) -> PyTree:
+    """Errors of a unit from its parts, in the error record of the design.
 
-    Slots: "disc_0", "disc_1" .. (made for slot 0 where such a disc fits, else for their own), "crank_0" .., "carrier",
-    and any other name for parts that hold whole fields of `RVErrors` (bearings, pins, ring, sun).
+    Slots: "disc_0", "disc_1" .. (made for slot 0 where such a disc fits, else for their own), of an RV reducer "crank_0"
+    .., "carrier", and any other name for parts that hold whole errors (bearings, pins, ring, sun, shaft).
 
     Args:
         design: counts are read.
         parts: errors of the part in each slot.
-        index: position of each part; of discs as in `disc_mountings`, of a carrier in crank spacings.
+        index: position of each part; of discs as in `disc_mountings`, of a carrier in spacings of the places.
 
     Raises:
         ValueError: an error that such a part does not have, an error in two slots, or a slot that the design
             lacks.
     """
-    discs, cranks = design.cycloid.disc_count, design.cranks.count
+    discs, cranks, places = (design.counts[axis] for axis in ("discs", "cranks", design.places))
     of_crank, of_carrier = carried(design, "crank"), carried(design, "carrier")
-    axes = described(design.error_record, "shape")
+    axes, vectors = (described(design.error_record, key) for key in ("shape", "vector"))
+    turns = _turns(2 * np.pi * np.arange(places) / places)
     fields: dict[str, Scalar] = {}
     by_disc: dict[str, dict[int, Array]] = {}
     by_crank: dict[str, dict[int, Array]] = {}
@@ -145,7 +145,7 @@ def unit_errors(
             own = mounted_disc(design, errors, place, index[slot], made_for=drawing(design, place))
             for name, moved in own.items():
                 by_disc.setdefault(name, {})[place] = moved
-        elif kind == "crank" and number.isdigit():
+        elif kind == "crank" and number.isdigit() and of_crank:
             place = _place(slot, number, cranks)
             for name, value in errors.items():
                 if name not in of_crank:
@@ -157,9 +157,12 @@ def unit_errors(
                     raise ValueError(f"{slot}: {name} is in another slot already")
                 fields[name] = value
                 if slot == "carrier" and name in of_carrier:
-                    places = (jnp.arange(cranks) - index[slot]) % cranks
                     spread = jnp.broadcast_to(jnp.asarray(value), of_carrier[name])
-                    fields[name] = jnp.take(spread, places, axis=axes[name].index("cranks"))
+                    if vectors.get(name) == "xy":
+                        fields[name] = jnp.asarray(turns, spread.dtype)[index[slot]] @ spread
+                    else:
+                        around = (jnp.arange(places) - index[slot]) % places
+                        fields[name] = jnp.take(spread, around, axis=axes[name].index(design.places))
     for groups, along in ((by_disc, "discs"), (by_crank, "cranks")):
         for name, values in groups.items():
             absent = jnp.zeros_like(next(iter(values.values())))
@@ -168,7 +171,13 @@ def unit_errors(
     return design.error_record(**fields)
 
 
-def drawing(design: RVReducer, slot: int) -> int:
+def _turns(angle: np.ndarray, hand: np.ndarray | int = 1) -> np.ndarray:
+    """Matrices (n, 2, 2) that turn by angles (n,), after turning over about the x axis where `hand` is -1."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.stack([cosine, -hand * sine, sine, hand * cosine], 1).reshape(-1, 2, 2)
+
+
+def drawing(design: PyTree, slot: int) -> int:
     """Slot of the drawing of a disc: 0 if such a disc fits, else the slot itself.
 
     Args:

@@ -26,6 +26,8 @@ from rvjax.records import Scalar
 NEAR = 0.3
 """Half width of a contact over the radius of its output pin from which on the theory of line contact fails."""
 fit = gaps_of_turn  # clearance without load
+PASSINGS = 6
+"""Highest multiple of the passing of the holes whose amplitude is above 1 % of the first."""
 
 
 def layout(design: CycloidalReducer, errors: CycloidalErrors, contact: str, carrier: str, sun: str) -> Layout:
@@ -61,6 +63,17 @@ def layout(design: CycloidalReducer, errors: CycloidalErrors, contact: str, carr
         joints=(holes,),
         bearings=(eccentrics, *([supports] if held else [])),
     )
+
+
+def passing(design: CycloidalReducer) -> tuple[int, ...]:
+    """Orders of the holes that the eccentrics pass, and of the pins of the ring: zp and zc turns in one of the output.
+
+    Args:
+        design: counts are read.
+    """
+    pins, several = design.cycloid.pin_count, range(1, PASSINGS + 1)
+    each = (design.output.count * pins, design.cycloid.disc_teeth * pins)
+    return tuple(n * order for order in each for n in several)
 
 
 def _unknowns(layout: Layout) -> Unknowns:

@@ -25,6 +25,15 @@ READ = (
 """Errors that Eq. 13 reads."""
 
 
+def no_orders(design: RVReducer) -> tuple[int, ...]:
+    """None: the pins of a ring pass zc zp times in a turn of the output, beyond the orders of a bench.
+
+    Args:
+        design: not read.
+    """
+    return ()
+
+
 def flanks(
     samples: int, turns: float, design: RVReducer, errors: RVErrors
 ) -> tuple[tuple[jax.Array, jax.Array], SolveInfo]:

@@ -36,6 +36,9 @@ class Kind(Protocol):
     ) -> tuple[tuple[jax.Array, jax.Array], SolveInfo]:
         """Least clearance without load, of all angles () and of each (n,)."""
 
+    def passing(self, design: PyTree) -> tuple[int, ...]:
+        """Orders of the output turn that a reducer without errors makes, as far as few angles may not resolve them."""
+
 
 KINDS: dict[type, Kind] = {RVReducer: rv, CycloidalReducer: cycloidal}
 

@@ -1,4 +1,4 @@
-"""Bench observations of the loaded reducer: orders of the transmission error, and the hysteresis curve.
+"""Bench observations of a reducer under load, of every kind: orders of the transmission error, and the hysteresis curve.
 
 All angles of a turn are solved next to each other: with slopes of fifty elements that is cheaper than from one angle to
 the next. Every observation is linear in the errors at single angles, so that each equilibrium is solved for its slopes
@@ -6,6 +6,7 @@ once, however many numbers are observed.
 """
 
 import functools
+import itertools
 from collections.abc import Callable
 
 import jax
@@ -13,12 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.compile_cache import QUICK
-from rvjax.designs import RVReducer
-from rvjax.errors import RVErrors
 from rvjax.loaded.conditions import Conditions, ways
 from rvjax.loaded.equilibrium import error_alone
 from rvjax.loaded.head import effects_of_a_head
-from rvjax.loaded.kinds import check_input
+from rvjax.loaded.kinds import check_input, kind_of
 from rvjax.loaded.system import Layout
 from rvjax.outputs import Observation, Spectrum
 from rvjax.records import Array, PyTree, Scalar
@@ -29,12 +28,12 @@ PARTS = 5
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _errors(layout: Layout, design: RVReducer, errors: RVErrors, torques: Array, angles: Array) -> jax.Array:
+def _errors(layout: Layout, design: PyTree, errors: PyTree, torques: Array, angles: Array) -> jax.Array:
     """Transmission error (t, n) at torques (t,) and input angles (n,)."""
     return _each(functools.partial(_error, layout, design, errors), torques, angles)
 
 
-def _error(layout: Layout, design: RVReducer, errors: RVErrors, torque: Scalar, angle: Scalar) -> jax.Array:
+def _error(layout: Layout, design: PyTree, errors: PyTree, torque: Scalar, angle: Scalar) -> jax.Array:
     return error_alone(layout, design, errors, angle, torque)
 
 
@@ -76,16 +75,27 @@ def _errors_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[jax.
 _errors.defjvp(_errors_jvp, symbolic_zeros=True)
 
 
-def _count(given: Conditions, orders: tuple[int, ...], alike: bool) -> int:
-    """Angles of a period."""
-    return given.samples if alike else max(given.samples, 4 * max(orders))
+def _count(design: PyTree, given: Conditions, orders: tuple[int, ...], alike: bool) -> int:
+    """Angles of a period: so many that no order of perfect parts that they do not resolve looks like an observed one.
+
+    The mean is observed, too.
+    """
+    step = design.cycloid.pin_count if alike else 1
+    seen = {0, *(k / step for k in orders)}
+    passing = [k / step for k in kind_of(design).passing(design)]
+
+    def taken(count: int) -> bool:
+        return any(abs(k - count * round(k / count)) in seen for k in passing if 2 * k >= count)
+
+    least = given.samples if alike else max(given.samples, 4 * max(orders))
+    return next(count for count in itertools.count(least) if not taken(count))
 
 
-def _parts(design: RVReducer, given: Conditions, orders: tuple[int, ...], alike: bool) -> int:
+def _parts(design: PyTree, given: Conditions, orders: tuple[int, ...], alike: bool) -> int:
     """Parts of a turn of the output: so many that what one takes for another order is far from those of the pins."""
     if alike:
         return 1
-    pins, count = design.cycloid.pin_count, _count(given, orders, alike)
+    pins, count = design.cycloid.pin_count, _count(design, given, orders, alike)
 
     def distance(parts: int) -> int:
         """Least distance of a mistaken order from a multiple of the pins."""
@@ -97,8 +107,8 @@ def _parts(design: RVReducer, given: Conditions, orders: tuple[int, ...], alike:
 
 
 def _spectrum(
-    design: RVReducer,
-    errors: RVErrors,
+    design: PyTree,
+    errors: PyTree,
     given: Conditions,
     torques: Array,
     orders: tuple[int, ...],
@@ -107,7 +117,7 @@ def _spectrum(
 ) -> Spectrum:
     """One turn of the cranks where all are alike, else a turn of the output."""
     step = design.cycloid.pin_count if alike else 1
-    count, (number, parts) = _count(given, orders, alike), part
+    count, (number, parts) = _count(design, given, orders, alike), part
     stiff, torques = errors.stiffened(design), jnp.asarray(torques)
     own = jnp.asarray(np.arange(0, count, parts), torques.dtype) + jnp.asarray(number, torques.dtype)
     angles = 2 * jnp.pi * design.ratio / step / count * own
@@ -119,7 +129,7 @@ def _spectrum(
     return jnp.mean(error, axis=1), jax.lax.complex(*found)
 
 
-def _angle(design: RVReducer, errors: RVErrors, given: Conditions, torques: Array) -> Array:
+def _angle(design: PyTree, errors: PyTree, given: Conditions, torques: Array) -> Array:
     """Output angle at each torque, input held."""
     angle = jnp.asarray(given.input_angle, jnp.result_type(float))[None]
     stiff = errors.stiffened(design)

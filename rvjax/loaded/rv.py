@@ -18,7 +18,7 @@ from rvjax.geometry import material as of_contact
 from rvjax.loaded import material
 from rvjax.loaded.balance import Forces
 from rvjax.loaded.case import Case, Named
-from rvjax.loaded.fit import flanks
+from rvjax.loaded.fit import flanks, no_orders
 from rvjax.loaded.gaps import flank_rounding, full, pin_depths
 from rvjax.loaded.geometry import Geometry, Turn, geometry, turn
 from rvjax.loaded.inputs import Read, admitted, check_shapes, unchecked
@@ -29,6 +29,7 @@ FLANKS = Group(discs=False, links=True, common=True, each=2)
 ARMS = Group(discs=True, links=True, common=False)
 SEATS = Group(discs=False, links=True, common=True)
 fit = flanks  # clearance without load: cranks and first stage are ideal
+passing = no_orders
 
 
 def layout(design: RVReducer, errors: RVErrors, contact: str, carrier: str, sun: str) -> Layout:

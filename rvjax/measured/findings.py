@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from rvjax.measured.atoms import memory
-from rvjax.measured.judge import DRIFTS, FASTEST, Judged
+from rvjax.measured.judge import DRIFTS, Judged, highest
 from rvjax.measured.kind import Finding
 from rvjax.measured.sampling import WHOLE
 from rvjax.measured.search import LOW
@@ -46,7 +46,7 @@ def _sampling(judged: Judged) -> Iterator[Finding]:
         )
         yield Finding("highest resolved order", float(math.ceil(sampling.finest) - 1), "-", equal)
     elif judged.parts:
-        searched = FASTEST * max(judged.parts.values())
+        searched = highest(judged.parts)
         yield Finding("highest resolved order", searched, "-", "no two orders up to it are alike at these angles")
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from rvjax import identify
 from rvjax.identify import Orders
 from rvjax.measured import level
-from rvjax.measured.judge import DRIFTS, FASTEST, Judged
+from rvjax.measured.judge import DRIFTS, FASTEST, MOTOR, Judged
 from rvjax.measured.search import LOW
 
 SPARE = 4  # places for every number that is fitted
@@ -141,13 +141,15 @@ def doubt(judged: Judged, order: float) -> str:
         return f"it may be order {own:.5g} ({name})"
     if order in parts.values() or not math.isfinite(sampling.repeat):
         return ""
-    fastest = max(parts.values(), default=0.0)
+    fastest = max(judged.driven)
     other = sampling.repeat - order
     if other > FASTEST * fastest:
         return ""
-    whole = [own for own in parts.values() if own == round(own) and own < fastest - 1]
+    named = any(name in MOTOR for name in parts)
+    others = [own for name, own in parts.items() if (name not in MOTOR if named else own < fastest - 1)]
+    whole = [own for own in others if own == round(own)]
     if order > LOW and min((abs(order - own) for own in whole), default=math.inf) > SIDE:
         return f"it may be order {other:g}"
-    several = (n * own for n in range(2, FASTEST + 1) for own in (fastest, fastest - 1))  # also seen from the output
+    several = (n * own for n in range(2, FASTEST + 1) for own in judged.driven)  # also seen from the output
     alias = next((own for own in several if sampling.alike(own, order)), None)
     return "" if alias is None else f"it may be order {alias:.5g}, a harmonic of the fastest part"

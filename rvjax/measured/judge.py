@@ -15,6 +15,8 @@ from rvjax.units import arcsec, deg
 
 FASTEST = 12
 """Highest harmonic of the fastest part that is expected: torque of a motor with poles and slots."""
+MOTOR = ("sun", "sun against the carrier", "shaft", "shaft against the output")
+"""Names of the orders of the part that a motor turns; the fastest part where none of them is given."""
 LOST = 4.0  # standard deviations of a reading: a larger step is a lost step, not noise
 BAD = 0.01  # share of bad readings that are left out
 DRIFTS = ("drift", "warm-up", "step")
@@ -56,6 +58,11 @@ class Judged:
         model = self.model
         freedom = max(len(model.angle) - model.basis.shape[1], 1)
         return math.sqrt(float(model.residual @ model.residual) / freedom)
+
+    @property
+    def driven(self) -> tuple[float, ...]:
+        """Orders of the part that a motor turns, against the housing and against the output."""
+        return _driven(self.parts, 0.0)
 
     def hidden(self, order: float) -> dict[str, float]:
         """Parts whose order is the same numbers at these angles.
@@ -101,10 +108,9 @@ def _judged(run: Run, own: tuple[tuple[str, float], ...]) -> Judged:
     readings, (angle, error, place) = len(angle), places(angle[rank], error[rank])
     rows = rows[rank][np.unique(place, return_index=True)[1]] if len(place) else rows
     sampling = _sampling(angle, readings, parts)
-    highest = FASTEST * max(parts.values(), default=100.0)
     model = Model(angle, error, [])
     if len(angle) >= FEWEST and np.ptp(error) > 0 and np.ptp(angle) > 0:
-        model = content(angle, error, sampling, parts, highest, timed)
+        model = content(angle, error, sampling, parts, highest(parts), timed)
     bad = [int(atom.at) for atom in model.atoms if atom.kind == "glitch"]
     if len(bad) > max(1, BAD * len(angle)):  # heavy tails are noise
         bad = []
@@ -116,6 +122,20 @@ def _judged(run: Run, own: tuple[tuple[str, float], ...]) -> Judged:
     if not bad and not made.found("line", *DRIFTS):
         return made
     return Judged(run, angle[kept], (error - taken)[kept], taken[kept], sampling, model, parts, rows)
+
+
+def _driven(parts: Mapping[str, float], default: float) -> tuple[float, ...]:
+    fastest = max(parts.values(), default=default)
+    return tuple(parts[name] for name in MOTOR if name in parts) or (fastest, fastest - 1)
+
+
+def highest(parts: Mapping[str, float]) -> float:
+    """Highest order that is searched.
+
+    Args:
+        parts: {name: order per revolution} of what the measured object can cause.
+    """
+    return max([FASTEST * max(_driven(parts, 100.0)), *parts.values()])
 
 
 def _sampling(angle: np.ndarray, readings: int, parts: Mapping[str, float]) -> Sampling:
@@ -130,7 +150,7 @@ def _sampling(angle: np.ndarray, readings: int, parts: Mapping[str, float]) -> S
     gaps = np.diff(around, append=around[0] + 2 * math.pi) if len(angle) else np.zeros(1)
     hole = float(np.max(gaps))
     hole = hole if hole > HOLE * max(float(np.mean(gaps)), step) else 0.0
-    return Sampling(len(angle), readings, stroke, step, hole, repetition(angle, FASTEST * top + 3 * top))
+    return Sampling(len(angle), readings, stroke, step, hole, repetition(angle, highest(parts) + 3 * top))
 
 
 def _check_steps(found: Judged) -> None:

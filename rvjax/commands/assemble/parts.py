@@ -26,8 +26,8 @@ from rvjax.assembly import (
     supply_of,
 )
 from rvjax.commands.assemble.inputs import Assembly
-from rvjax.designs import RVReducer
-from rvjax.mounting import carried, disc_mountings, drawing
+from rvjax.mounting import AXES, carried, disc_mountings, drawing
+from rvjax.records import PyTree
 from rvjax.study import KINDS, Study, StudyError, kind_of
 from rvjax.tolerances import Requirement, Tolerance
 from rvjax.units import KNOWN, recognised
@@ -196,24 +196,20 @@ def _rows(path: Path) -> list[Row]:
     return [row for row in rows if not row.cells["kind"].startswith(MARKS)]  # a comment that has commas
 
 
-def _slots(design: RVReducer, kind: str, path: str | Path) -> tuple[list[str], dict[str, tuple[int, ...]]]:
+def _slots(design: PyTree, kind: str, path: str | Path) -> tuple[list[str], dict[str, tuple[int, ...]]]:
     """Slots that a kind of parts feeds, and the errors it may hold with their shapes."""
-    discs, cranks = design.cycloid.disc_count, design.cranks.count
     shapes = {f.name: axis_sizes(f.metadata["shape"], design.counts) for f in dataclasses.fields(design.error_record)}
-    if match := re.fullmatch(r"disc(?:_(\d+))?", kind):
-        slots = [f"disc_{k}" for k in range(discs) if drawing(design, k) == 0] if match[1] is None else [kind]
-        if match[1] is not None and int(match[1]) >= discs:
-            raise StudyError(f"{path}: kind = {kind!r}: this design has {discs} discs, counted from 0")
-        return slots, carried(design, "disc")
-    if match := re.fullmatch(r"crank(?:_(\d+))?", kind):
-        if match[1] is not None and int(match[1]) >= cranks:
-            raise StudyError(f"{path}: kind = {kind!r}: this design has {cranks} cranks, counted from 0")
-        slots = [f"crank_{k}" for k in range(cranks)] if match[1] is None else [kind]
-        return slots, carried(design, "crank")
+    several = {part: held for part in AXES if (held := carried(design, part))}  # a single shaft is no crank
+    match = re.fullmatch(r"([a-z]+?)(?:_(\d+))?", kind)
+    if match and match[1] in several:
+        part, number, count = match[1], match[2], design.counts[AXES[match[1]]]
+        if number is not None and int(number) >= count:
+            raise StudyError(f"{path}: kind = {kind!r}: this design has {count} {AXES[part]}, counted from 0")
+        every = [k for k in range(count) if part != "disc" or drawing(design, k) == 0]
+        return [f"{part}_{k}" for k in every] if number is None else [kind], several[part]
     if not re.fullmatch(r"[a-z][a-z0-9_]*", kind) or kind == REST:
-        raise StudyError(f"{path}: kind = {kind!r}: must be disc, crank, carrier, or a name in lower case")
-    apart = {*carried(design, "disc"), *carried(design, "crank")}
-    return [kind], {name: shape for name, shape in shapes.items() if name not in apart}
+        raise StudyError(f"{path}: kind = {kind!r}: must be {', '.join(several)}, carrier, or a name in lower case")
+    return [kind], {name: shape for name, shape in shapes.items() if not any(name in own for own in several.values())}
 
 
 def _kind(
@@ -278,7 +274,7 @@ def _positions(study: Study, slot: str) -> int:
     kind, _, number = slot.rpartition("_")
     if kind == "disc":
         return len(disc_mountings(study.design, int(number), made_for=drawing(study.design, int(number))))
-    return study.design.cranks.count if slot == "carrier" else 1
+    return study.design.counts[study.design.places] if slot == "carrier" else 1
 
 
 def _column(

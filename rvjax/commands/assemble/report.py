@@ -13,7 +13,6 @@ from rvjax.assembly import Plan
 from rvjax.commands.assemble.compute import Assembled, Price
 from rvjax.commands.assemble.inputs import Inputs
 from rvjax.commands.assemble.parts import REST, unit_values
-from rvjax.designs import RVReducer
 from rvjax.mounting import disc_mountings, drawing
 from rvjax.records import PyTree
 from rvjax.render import CSV, TEXT, Cell, Figure, Interval, Note, Number, Quantity, Report, Share, Table, Text
@@ -130,7 +129,7 @@ def _build(study: Study, found: Assembled, unit: Mapping[str, PyTree]) -> Table:
     return Table("build", columns, rows, on=frozenset({CSV}))
 
 
-def position(design: RVReducer, slot: str, index: int) -> str:
+def position(design: PyTree, slot: str, index: int) -> str:
     """A position in words.
 
     Args:
@@ -143,7 +142,7 @@ def position(design: RVReducer, slot: str, index: int) -> str:
     if kind == "disc":
         turn, over = disc_mountings(design, int(number), made_for=drawing(design, int(number)))[index]
     words = ["turned over"] if over else []
-    words += [f"{360 * turn / design.cranks.count:g} deg"] if turn else []
+    words += [f"{360 * turn / design.counts[design.places]:g} deg"] if turn else []
     return ", ".join(words) or "as on the drawing"
 
 

@@ -84,7 +84,7 @@ class Identified:
     def findings(self) -> dict[str, tuple[Finding, ...]]:
         """Findings of every measurement, by unit and conditions."""
         kind, found = KINDS[self.problem.kind], {}
-        parts = getattr(self.study.design, "orders", {})
+        parts = orders_of(self.study.design)
         for item in (item for items in self.problem.items for item in items):
             name = f"{item.at.unit} {item.at.text()}".strip()
             while name in found:

@@ -3,10 +3,12 @@
 import math
 import re
 from collections.abc import Iterator
+from operator import attrgetter
 
 from rvjax._reducer.plausible import shown
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.geometry import least_convex_radius
+from rvjax.mounting import unit_errors
 from rvjax.records import Scalar
 from rvjax.study.kinds.kind import Assumed, Kind, Numbers, Start
 from rvjax.study.values import in_unit
@@ -162,5 +164,7 @@ KIND = Kind(
     refuse=refuse,
     doubts=doubts,
     rated=RATED,
+    orders=attrgetter("orders"),
+    unit_errors=unit_errors,
     starts={"loaded": Start("cycloidal-17", PARTS, HEAD, tables=_with_torque)},
 )
