@@ -5,7 +5,7 @@ from rvjax.measured.conditions import DIRECTIONS as DIRECTIONS, Conditions
 from rvjax.measured.curve import checked as checked
 from rvjax.measured.findings import findings as findings
 from rvjax.measured.fit import Fitted as Fitted, fitted as fitted
-from rvjax.measured.judge import Judged as Judged, judge as judge
+from rvjax.measured.judge import MOTOR as MOTOR, Judged as Judged, judge as judge
 from rvjax.measured.kind import Finding as Finding, Kind as Kind
 from rvjax.measured.loop import Loop
 from rvjax.measured.read import KINDS as KINDS, Measured, read, read_table as read_table

@@ -32,22 +32,30 @@ def number_of_design(design: PyTree, name: str) -> tuple[tuple[str, ...], str]:
 
     Args:
         design: the reducer.
-        name: of a field of one of its parts; "stiffness" is a factor on all its springs, whose path is empty.
+        name: of a field of one of its parts, with the part ("output.pin_stiffness") where several have it; "stiffness"
+            is a factor on all its springs, whose path is empty.
 
     Raises:
-        ValueError: no part has such a number.
+        ValueError: no part has such a number, or several have it.
     """
     springs = hasattr(design, "stiffer")
     if name == "stiffness" and springs:
         return (), "-"
     found: dict[str, tuple[tuple[str, ...], str]] = {}
+    owners: dict[str, list[str]] = {}
     for part in dataclasses.fields(design):
         record, kind = getattr(design, part.name), part.metadata["kind"]
         if kind == "real":
             found[part.name] = (part.name,), part.metadata["unit"]
         for f in dataclasses.fields(record) if dataclasses.is_dataclass(record) else ():
             if f.metadata["kind"] not in ("count", "text", "record"):
-                found[f.name] = (part.name, f.name), f.metadata["unit"]
+                owners.setdefault(f.name, []).append(f"{part.name}.{f.name}")
+                found[owners[f.name][-1]] = (part.name, f.name), f.metadata["unit"]
+    for short, whole in owners.items():
+        if len(whole) == 1:
+            found[short] = found.pop(whole[0])
+    if len(owners.get(name, [])) > 1:
+        raise ValueError(f"{name}: several parts have it; write {' or '.join(map(repr, owners[name]))}")
     if name not in found:
         first = ["stiffness (a factor on all springs)"] if springs else []
         raise unknown("no number of this design", name, [*first, *found], "; there are")

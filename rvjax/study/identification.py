@@ -87,11 +87,11 @@ def parse_identification(
     unknown, given = {}, subtable(table, "unknown")
     for name in given:
         where = f"identify.unknown.{name}"
+        if name in {f.name for f in dataclasses.fields(design.error_record)}:
+            raise ValueError(f"{where}: an error of the parts; write its limits in [tolerances.{name}]")
         with naming_field(where):
             unit = number_of_design(design, name)[1]
             unknown[name] = parse_tolerance(subtable(given, name), unit, where, folder)
-        if isinstance(getattr(tolerances, name, None), Tolerance):
-            raise ValueError(f"{where}: [tolerances.{name}] has the same name; remove one of them")
     fields = [f.name for f in dataclasses.fields(tolerances) if isinstance(getattr(tolerances, f.name), Tolerance)]
     own = [*fields, *unknown]
     nuisances = tuple(choice(name, [*NUISANCES, *own], "identify.nuisance") for name in _list(table, "nuisance"))

@@ -10,13 +10,13 @@ from rvjax.commands.compensate.inputs import Inputs
 from rvjax.commands.speak import READING, WRITING
 from rvjax.compensation import Correction, Table, correction, table
 from rvjax.identify import Orders, orders
-from rvjax.measured import Fitted, Judged, fitted, judge
+from rvjax.measured import MOTOR, Fitted, Judged, fitted, judge
 from rvjax.records import PyTree
 from rvjax.study import KINDS, Run, Study, StudyError, orders_of, read_measured
 
 CORRECTING = "orders of the curves"
 WHOLE_TURNS = 1.99
-HARMONICS = 3  # of the pins: the highest order that a table holds
+HARMONICS = 3  # of the pins, at least: the highest order that a table holds
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -112,8 +112,8 @@ def corrections(
 ) -> Corrections:
     """Corrections from a CSV file of measured curves.
 
-    Orders up to three times the pins are fitted, fewer where the points are few. Those of the reducer are always among
-    them. Orders that exceed noise and are no alias are stored.
+    Orders up to three times the pins, of a single-stage drive up to three times its holes, are fitted, fewer where the
+    points are few. Those of the reducer are always among them. Orders that exceed noise and are no alias are stored.
 
     Args:
         study: its design gives ratio and pins, its [columns] the foreign names of columns.
@@ -137,10 +137,16 @@ def corrections(
     return Corrections(curves, notes=read.notes)
 
 
+def _most(design: PyTree) -> int:
+    """Highest order of a table: the third multiple of the pins, and every order that parts but the driven one make."""
+    made = (order for name, order in orders_of(design).items() if name not in MOTOR)
+    return int(max(HARMONICS * design.cycloid.pin_count, *made))
+
+
 def _curve(design: PyTree, run: Run, angle_sd: float, count: int | None, first_order: bool) -> Curve:
     try:
         judged = judge(run, orders_of(design))
-        fit = fitted(judged, HARMONICS * design.cycloid.pin_count)
+        fit = fitted(judged, _most(design))
         found = fit.found
         seen = fit.seen if first_order else fit.seen[found.order[fit.seen] > 1]
         made = correction(
