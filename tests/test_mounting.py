@@ -11,12 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rvjax import four_bar, mounting
-from rvjax.catalogue import RV_40E
+from rvjax import CycloidalErrors, four_bar, loaded, mounting
+from rvjax.catalogue import CYCLOIDAL_15, CYCLOIDAL_17, RV_40E
 from rvjax.mounting import Mounting, disc_mountings, mounted_disc, unit_errors
 
 
-def design_of(teeth, discs, cranks):
+def design_of(teeth, discs, cranks, reducer="rv"):
+    if reducer == "drive":
+        cycloid = CYCLOIDAL_17.cycloid.replace(disc_teeth=teeth, pin_count=teeth + 1, disc_count=discs)
+        return CYCLOIDAL_17.replace(cycloid=cycloid, output=CYCLOIDAL_17.output.replace(count=cranks))
     cycloid = RV_40E.cycloid.replace(disc_teeth=teeth, pin_count=teeth + 1, disc_count=discs, eccentricity=5e-4)
     return RV_40E.replace(cycloid=cycloid, cranks=RV_40E.cranks.replace(count=cranks))
 
@@ -37,12 +40,13 @@ def moved(points, position, cranks):
     return (points.conj() if position.over else points) * np.exp(2j * math.pi * position.turn / cranks)
 
 
-COUNTS = [(39, 2, 2), (40, 2, 2), (39, 2, 3), (39, 3, 4), (40, 2, 4), (59, 1, 3)]
+COUNTS = [(39, 2, 2, "rv"), (40, 2, 2, "rv"), (39, 2, 3, "rv"), (39, 3, 4, "rv"), (40, 2, 4, "rv"), (59, 1, 3, "rv")]
+COUNTS += [(17, 2, 6, "drive"), (15, 2, 6, "drive"), (20, 2, 4, "drive")]
 
 
-@pytest.mark.parametrize(("teeth", "discs", "cranks"), COUNTS)
-def test_positions_that_keep_the_toothing(teeth, discs, cranks):
-    design = design_of(teeth, discs, cranks)
+@pytest.mark.parametrize(("teeth", "discs", "cranks", "reducer"), COUNTS)
+def test_positions_that_keep_the_toothing(teeth, discs, cranks, reducer):
+    design = design_of(teeth, discs, cranks, reducer)
     for slot, made_for in itertools.product(range(discs), repeat=2):
         every = [Mounting(turn, over) for over in (False, True) for turn in range(cranks)]
         old = np.exp(1j * spaces(teeth, discs, made_for))
@@ -58,12 +62,14 @@ def test_the_discs_of_the_catalogue():
     assert disc_mountings(design_of(39, 2, 3), 1) == () and mounting.drawing(design_of(39, 2, 3), 1) == 1
 
 
-@pytest.mark.parametrize(("teeth", "discs", "cranks"), COUNTS)
-def test_errors_move_with_the_metal(teeth, discs, cranks):
-    design, rng = design_of(teeth, discs, cranks), np.random.default_rng(teeth + cranks)
+@pytest.mark.parametrize(("teeth", "discs", "cranks", "reducer"), COUNTS)
+def test_errors_move_with_the_metal(teeth, discs, cranks, reducer):
+    """Bores lie opposite to their crank number, holes of a drive on the x axis on."""
+    design, rng = design_of(teeth, discs, cranks, reducer), np.random.default_rng(teeth + cranks)
+    at, start = {"rv": ("disc_bore", math.pi), "drive": ("hole_position", 0.0)}[reducer]
     bore, pitch, wave = rng.standard_normal((cranks, 2)), rng.standard_normal(teeth), rng.standard_normal((5, 2))
-    errors = {"disc_bore": bore, "disc_centre": np.array([0.3, -0.7]), "disc_pitch": pitch, "disc_profile": wave}
-    axes = np.exp(1j * (math.pi + 2 * math.pi * np.arange(cranks) / cranks))
+    errors = {at: bore, "disc_centre": np.array([0.3, -0.7]), "disc_pitch": pitch, "disc_profile": wave}
+    axes = np.exp(1j * (start + 2 * math.pi * np.arange(cranks) / cranks))
     lobe = np.array([0.4, 2.9, 5.0])
 
     def flank(waves):
@@ -77,7 +83,7 @@ def test_errors_move_with_the_metal(teeth, discs, cranks):
             found = mounted_disc(design, errors, slot, number, made_for=made_for)
             seat = moved(axes, position, cranks)
             vectors = moved((bore[:, 0] + 1j * bore[:, 1]) * axes, position, cranks)
-            back = np.asarray(found["disc_bore"])
+            back = np.asarray(found[at])
             for q, axis in enumerate(axes):
                 own = np.argmin(np.abs(seat - axis))
                 np.testing.assert_allclose((back[q, 0] + 1j * back[q, 1]) * axis, vectors[own], atol=1e-12)
@@ -131,6 +137,36 @@ def test_bores_turned_with_the_carrier_are_one_machine():
     misfits = [np.asarray(four_bar.transmission_error(RV_40E, e, **given).misfit) for e in (there, both)]
     np.testing.assert_allclose(*misfits, rtol=1e-9)
     assert np.abs(misfits[0]).min() > 1e-8
+
+
+def test_a_drive_moves_its_disc_and_its_carrier_as_one_machine():
+    """15 lobes, 6 holes: a turned or exchanged part shifts the curve of a crank turn; turned over, load and time turn.
+
+    Only one part has errors, so the drive with the part in its new position is the old one, seen from elsewhere.
+    """
+    design, rng = CYCLOIDAL_15, np.random.default_rng(2)
+    shapes = mounting.carried(design, "disc") | mounting.carried(design, "carrier")
+    assert set(shapes) == {
+        "disc_centre", "disc_pitch", "disc_profile", "hole_position", "hole_radius",
+        "output_pin_offset", "output_pin_radius", "carrier_centre",
+    }  # fmt: skip
+    parts = {name: 2e-5 * rng.standard_normal(shape) for name, shape in shapes.items()}
+    pins = {name: parts.pop(name) for name in mounting.carried(design, "carrier")}
+
+    def curve(slot, errors, index, torque=5.0):
+        made = unit_errors(design, {slot: errors}, {slot: index})
+        whole = CycloidalErrors.for_design(design, **{name: getattr(made, name) for name in shapes})
+        return np.asarray(loaded.revolution(design, whole, output_torque=torque, samples=12).error)
+
+    drawn = {torque: curve("disc_0", parts, 0, torque) for torque in (5.0, -5.0)}
+    size = np.ptp(drawn[5.0])
+    for slot, number in ((0, 1), (0, 4), (1, 0), (1, 3)):
+        position = disc_mountings(design, slot)[number]
+        seen = np.arange(12) + 2 * position.turn - 6 * slot  # the sixth of a crank turn is two samples
+        due = -drawn[-5.0][-seen % 12] if position.over else drawn[5.0][seen % 12]
+        np.testing.assert_allclose(curve(f"disc_{slot}", parts, number), due, atol=1e-6 * size)
+    still = curve("carrier", pins, 0)
+    np.testing.assert_allclose(curve("carrier", pins, 2), still[(np.arange(12) + 4) % 12], atol=1e-6 * np.ptp(still))
 
 
 def test_what_no_such_part_has_is_refused():

@@ -98,6 +98,11 @@ def bench(study: Study, path: str | Path) -> Bench:
         able = " and ".join(kind.plural for kind in KINDS.values() if kind.unit_errors)
         raise StudyError(f"{study.name}: parts are matched for {able} only")
     name, requirement = _asked(study)
+    if requirement.upper == math.inf and (objective := table_of(study).objective) != "yield":
+        raise StudyError(
+            f"{study.name}: assembly.objective = {objective!r}: makes {name} small, but its requirement has a lower "
+            'limit only; set objective = "yield"'
+        )
     rows = _rows(Path(path))
     groups: dict[str, list[Row]] = {}
     for row in rows:
