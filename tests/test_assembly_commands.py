@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from rvjax import cli, compensation, plotting, study
+from rvjax import CycloidalErrors, cli, compensation, loaded, plotting, study
 from rvjax.assembly import plan
 from rvjax.commands.assemble import Price, bench, prices
 from rvjax.commands.assemble.report import _others as others, price_table
@@ -98,6 +98,77 @@ def test_a_list_of_parts_becomes_a_list_for_the_bench(files, capsys):
     assert cli.main(["assemble", "my.toml", "parts.csv", "--format", "json"]) == 0
     again = json.loads(capsys.readouterr().out)
     assert again.pop("results") == "results/my-assembly-2" and again == result
+
+
+DRIVE = """
+[design]
+base = "cycloidal-17"
+member = "ring"
+output.hole_clearance = "30 um"
+[conditions]
+samples = 12
+[tolerances.hole_radius]
+half_width = "10 um"
+[tolerances.output_pin_radius]
+half_width = "10 um"
+[requirement.fit_clearance]
+lower = "3 um"
+"""
+
+
+def test_discs_and_carriers_of_a_drive_are_matched(files, undrawn):
+    """Large clearances are good here: every unit, its parts laid by hand as the list says, has the promised one."""
+    rng = np.random.default_rng(3)
+    sizes = {f"D{k}": rng.normal(0, 5, 6).round(1) for k in range(4)} | {
+        f"C{k}": rng.normal(0, 5, 6).round(1) for k in range(2)
+    }
+    heads = [f"{name}{place} [um]" for name in ("hole_radius", "output_pin_radius") for place in range(6)]
+    heads = [re.sub(r"(\d) \[um", r"[\1] [um", head) for head in heads]
+    lines = ["kind,id," + ",".join(heads)]
+    for name, own in sizes.items():
+        cells = ",".join(map(str, own))
+        lines.append(f"disc,{name},{cells},,,,,," if name[0] == "D" else f"carrier,{name},,,,,,,{cells}")
+    (files / "drive.toml").write_text(DRIVE)
+    (files / "drive.csv").write_text("\n".join(lines) + "\n")
+    assert cli.main(["assemble", "drive.toml", "drive.csv"]) == 0
+    result = json.loads((files / "results" / "drive-assembly" / "result.json").read_text())
+    assert result["status"] == "OPTIMAL"
+    assert result["yield_"]["value"] == 1 > 2 * result["random_yield"]["value"] and result["gain"]["lower"] > 3 * um
+    assert np.mean(result["values"]) - result["random"]["value"] == pytest.approx(result["gain"]["value"], rel=1e-6)
+    design = study.load("drive.toml", solve=False).design
+    with (files / "results" / "drive-assembly" / "build.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2 and any("over" in row["disc_0 position"] + row["disc_1 position"] for row in rows)
+
+    def laid(row, slot):
+        """Radii at the six places: turned over about the x axis first, then turned."""
+        own, where = sizes[row[slot]] * um, row[f"{slot} position"]
+        own = own[[0, 5, 4, 3, 2, 1]] if "turned over" in where else own
+        return np.roll(own, int(re.search(r"(\d+) deg|$", where)[1] or 0) // 60)
+
+    for row, value in zip(rows, result["values"]):
+        holes = np.stack([laid(row, "disc_0"), laid(row, "disc_1")])
+        errors = CycloidalErrors(hole_radius=holes, output_pin_radius=laid(row, "carrier"))
+        assert value == pytest.approx(float(loaded.clearance(design, errors, samples=12).least), rel=1e-9)
+        assert value >= 3 * um
+
+
+BAD_DRIVE_PARTS = [
+    ("kind,id,crank_eccentricity[0] [um]\ncrank,a,1\n", "column 'crank_eccentricity[0] [um]': parts of kind 'crank'"),
+    ("kind,id,throw [um]\nshaft,a,1\n", "throw of this part has the shape (2,)"),
+    ("kind,id,hole_radius[6] [um]\ndisc,a,1\n", "hole_radius of this part has the shape (6,)"),
+    ("kind,id,output_pin_radius[0] [um]\ndisc,a,1\n", "parts of kind 'disc' have disc_centre, "),
+    ("kind,id,hole_radius[0] [um]\ndisc_2,a,1\n", "kind = 'disc_2': this design has 2 discs, counted from 0"),
+    ("kind,id,hole_radius[0] [um]\nDisc,a,1\n", "kind = 'Disc': must be disc, carrier, or a name in lower case"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), BAD_DRIVE_PARTS, ids=[message for _, message in BAD_DRIVE_PARTS])
+def test_a_bad_list_of_parts_of_a_drive_is_one_line(files, capsys, text, message):
+    (files / "drive.toml").write_text(DRIVE)
+    (files / "bad.csv").write_text(text)
+    assert message in refused(capsys, "assemble", "drive.toml", "bad.csv")
+    assert not (files / "results").exists()
 
 
 def cranks(change):

@@ -64,9 +64,8 @@ def prices(study: Study, found: Bench, *, sets: int = 8) -> list[Price]:
             certificate_samples=study.certificate_samples,
         )
         by_field = {name: getattr(cheapest.tolerances, name) for name in study.fields}
-        wider = opening(
-            found.response, found.kinds, by_field, requirement=requirement, sets=sets, seed=study.seed
-        ).factor
+        small, limits = dataclasses.replace(found, requirement=requirement).small
+        wider = opening(small, found.kinds, by_field, requirement=limits, sets=sets, seed=study.seed).factor
         widths = {name: float(by_field[name].half_width) for name in study.costs}
         opened = {name: min(wider * t, max(study.costs[name].coarsest, t)) for name, t in widths.items()}
         matched = sum(float(cost(opened[name])) for name, cost in study.costs.items())
@@ -103,18 +102,27 @@ def phases(inputs: Inputs) -> dict[str, float]:
     return dict.fromkeys((READING, MATCHING, *([PRICING] if inputs.prices else []), WRITING), 0.0)
 
 
+def _mirrored(plan: Plan, objective: str) -> Plan:
+    """The plan of the opposite response in values of the response itself; its bound is an upper one."""
+    bounds = {} if objective == "yield" else dict(objective=-plan.objective, lower_bound=-plan.lower_bound)
+    own = plan.random
+    random = dataclasses.replace(own, value=-own.value, lower=-own.upper, upper=-own.lower)
+    return dataclasses.replace(plan, values=-plan.values, random=random, **bounds)
+
+
 def compute(inputs: Inputs) -> Assembled:
     """Compute the plan, and prices if required."""
     study, how = inputs.study, table_of(inputs.study)
     parts = bench(study, inputs.source)
     progress.begin(MATCHING)
+    response, requirement = parts.small
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", assembly.UnusualPart)  # the report names them with their rows
         plan = assembly.plan(
-            parts.response,
+            response,
             parts.kinds,
             objective=how.objective,
-            requirement=parts.requirement,
+            requirement=requirement,
             draws=how.draws,
             certificate_draws=how.certificate_draws,
             seed=study.seed,
@@ -123,7 +131,7 @@ def compute(inputs: Inputs) -> Assembled:
         )
     if plan.status == "INFEASIBLE":
         study.check_nominal()  # the message is clearer if this unit fails too
-    found = Assembled(parts, plan)
+    found = Assembled(parts, plan if parts.sense > 0 else _mirrored(plan, how.objective))
     if not inputs.prices:
         return found
     progress.begin(PRICING)

@@ -6,6 +6,8 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from rvjax._ground import columns
@@ -78,6 +80,22 @@ class Bench:
     costly: bool = False
     unusual: tuple[str, ...] = ()
 
+    @property
+    def sense(self) -> int:
+        """-1 where large values are good, because the requirement has a lower limit only; else 1."""
+        return -1 if self.requirement.upper == math.inf else 1
+
+    @property
+    def small(self) -> tuple[UnitResponse, Requirement]:
+        """Response whose small values are good, and the requirement on it."""
+        if self.sense > 0:
+            return self.response, self.requirement
+        limits = dict(lower=-math.inf, upper=-self.requirement.lower)
+        return self._mirrored, dataclasses.replace(self.requirement, **limits)
+
+    def _mirrored(self, parts: PyTree, index: PyTree) -> PyTree:
+        return jax.tree.map(lambda leaf: leaf if jnp.issubdtype(leaf, jnp.integer) else -leaf, self.response(parts, index))
+
 
 def bench(study: Study, path: str | Path) -> Bench:
     """Parts of a study from a CSV file.
@@ -98,11 +116,6 @@ def bench(study: Study, path: str | Path) -> Bench:
         able = " and ".join(kind.plural for kind in KINDS.values() if kind.unit_errors)
         raise StudyError(f"{study.name}: parts are matched for {able} only")
     name, requirement = _asked(study)
-    if requirement.upper == math.inf and (objective := table_of(study).objective) != "yield":
-        raise StudyError(
-            f"{study.name}: assembly.objective = {objective!r}: makes {name} small, but its requirement has a lower "
-            'limit only; set objective = "yield"'
-        )
     rows = _rows(Path(path))
     groups: dict[str, list[Row]] = {}
     for row in rows:

@@ -42,7 +42,7 @@ def report(inputs: Inputs, found: Assembled) -> Report:
         title=f"{study.name}: assembly",
         content=(
             Note("\n".join([*parts.unusual[:MOST], *_others(parts.unusual), *_verdict(study, plan, parts.name)])),
-            _compared(plan, *output.shown),
+            _compared(plan, parts.sense, *output.shown),
             Note("\n".join([f"gain of the mean: {gain.text()}", *_left(plan)])),
             *prices,
             _build(study, found, unit),
@@ -88,12 +88,12 @@ def _verdict(study: Study, plan: Plan, name: str) -> list[str]:
     return lines
 
 
-def _compared(plan: Plan, unit: str, size: float) -> Table:
+def _compared(plan: Plan, sense: int, unit: str, size: float) -> Table:
     """Statistics of random units and of the units of the plan."""
     assert plan.random_yield is not None and plan.yield_ is not None  # a list of parts has a requirement
     rows = [
         [f"mean ({unit})", plan.random.value / size, np.mean(plan.values) / size],
-        [f"worst unit, expected ({unit})", None, np.max(plan.values) / size],
+        [f"worst unit, expected ({unit})", None, sense * np.max(sense * plan.values) / size],
         ["good units", *(Quantity.of(found, read_in="%", form=".2f") for found in (plan.random_yield, plan.yield_))],
     ]
     return Table("compared", [Text(""), Interval("random"), Interval("matched")], rows, on=frozenset({TEXT}))
