@@ -159,6 +159,23 @@ def test_outputs_are_those_of_the_table():
         assert float(found.value[name]) / size == pytest.approx(value, rel=2e-3), name
 
 
+SUPPORT = (
+    'bearings.support = {rollers = 9, roller_diameter = "2 mm", roller_length = "3 mm", pitch_diameter = "20 mm"}\n'
+)
+
+
+@pytest.mark.parametrize(
+    ("design", "words"),
+    [("", r"\[\[duty\]\] is missing"), (SUPPORT, "design.bearings.support: must be None for a CycloidalReducer")],
+)
+def test_lives_that_no_study_of_a_drive_can_have(design, words):
+    asked = text(design, response="life", unit="h").replace("upper", "lower").replace('output_torque = "8.8 N m"', "")
+    if design:
+        asked += '[[duty]]\noutput_torque = "8.8 N m"\noutput_speed = "15 rpm"\ntime = "1 h"\n'
+    with pytest.raises(study.StudyError, match=words):
+        study.parse_study(asked, name="x", solve=False)
+
+
 def test_figures_of_the_geometry():
     kind = models.kind(CYCLOIDAL_29)
     given = kind.conditions(output_torque=116.0)

@@ -16,11 +16,13 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.patches import Circle, PathPatch
+from matplotlib.path import Path as Outline
 
 from rvjax import catalogue, cli, models, published, study
 from rvjax.commands.init.compute import written
 from rvjax.designs import RVReducer
-from rvjax.plotting import drawings
+from rvjax.plotting import drawings, drive
 from rvjax.units import mm, um
 
 DOCS = Path(__file__).parent.parent / "docs"
@@ -175,6 +177,30 @@ def test_the_drawn_disc_touches_the_pins_and_enters_none(axes):
     gaps = np.linalg.norm(disc[None] - pins[:, None], axis=-1).min(axis=1) - design.cycloid.pin_radius
     # The flank conjugate to the pins touches all of them; drawn with 60 points for each tooth.
     assert gaps.min() > -2e-6 and gaps.max() < 20e-6
+
+
+def test_drawn_discs_of_a_drive_touch_pins_of_ring_and_carrier(axes):
+    free = catalogue.CYCLOIDAL_17
+    design = free.replace(output=free.output.replace(hole_clearance=0.0))
+    drive.reducer(design, axes=axes)
+    pins = [np.array(patch.center) * mm for patch in axes.patches if isinstance(patch, Circle)]
+    ring, output = (
+        np.array([at for at in pins if np.isclose(np.hypot(*at), radius)])
+        for radius in (design.cycloid.pin_circle_radius, design.output.circle_radius)
+    )
+    assert len(ring) == 18 and len(output) == 6
+    outlines = [p for p in axes.patches if isinstance(p, PathPatch) and not p.get_fill()]
+    assert len(outlines) == 2
+    for disc in outlines:
+        drawn = disc.get_path().codes != Outline.CLOSEPOLY
+        at, codes = disc.get_path().vertices[drawn] * mm, disc.get_path().codes[drawn]
+        parts = np.split(at, np.flatnonzero(codes == Outline.MOVETO)[1:])
+        flank, holes = parts[0], parts[1:-1]
+        gaps = np.linalg.norm(flank - ring[:, None], axis=-1).min(axis=1) - design.cycloid.pin_radius
+        assert gaps.min() > -2e-6 and gaps.max() < 20e-6  # drawn with 60 points for each tooth
+        for hole, pin in zip(holes, output):  # without clearance every pin touches its hole from inside
+            gap = np.linalg.norm(hole - pin, axis=-1).min() - design.output.pin_radius
+            assert -2e-6 < gap < 20e-6
 
 
 def test_the_drawn_linkage_is_a_parallelogram_in_the_frames_of_its_cranks(axes):

@@ -115,6 +115,7 @@ def made(phases=3, **changes):
         held={"pin_ring": (10 * HOUR, 5 * HOUR), "disc_bore": (90 * HOUR, 70 * HOUR)}, duty=duty,
         phases=np.array([0.9, 0.1, 0.0])[:phases], torque=np.array([200.0, 400.0]), speed=15 * rpm,
         of_torque=np.array([[9.0, 5, 7, 8], [0.9, 0.5, 0.7, 0.8]]) * 1e3 * HOUR, orders=orders, force=force, pins=40,
+        crank=-40,
     )  # fmt: skip
     return dataclasses.replace(lives, **changes)
 
@@ -147,6 +148,9 @@ def test_the_page_says_which_bearing_fails_first_and_why(question):
     figures = [part for part in found.content if isinstance(part, Figure)]
     assert len(figures) == 3 and all(figure.content("png").startswith(b"\x89PNG") for figure in figures)
     assert "disc 1, crank 0 with 60 %" in figures[0].caption
+    of_ring = [part for part in bearing_section(made(crank=40), question).content if isinstance(part, Table)]
+    rows = next(part for part in of_ring if part.name == "bearing_orders").texts("page")[1]
+    assert dict(row[:2] for row in rows)["40"] == "turns with the crank"  # of a drive whose ring turns
 
 
 def test_a_share_of_bearings_is_no_share_of_units(question):

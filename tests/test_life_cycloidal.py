@@ -7,7 +7,7 @@ import pytest
 from cycloidal_cases import CASES, design_of, errors_of
 
 import rvjax
-from rvjax import Bearings, CycloidalErrors, RollerBearing, RVErrors, Status, catalogue, life
+from rvjax import Bearings, CycloidalErrors, RollerBearing, RVErrors, Status, catalogue, life, models
 from rvjax.units import rpm
 
 (CASE,) = (case for case in CASES if case["kind"] == "rating")
@@ -63,6 +63,16 @@ def test_without_errors_the_force_stands_in_the_inner_ring():
     ratio = np.asarray(one.arm_load / mean)
     assert standing > against + 0.01
     np.testing.assert_allclose(ratio, standing, atol=0.2 * float(standing - against))
+
+
+def test_outputs_of_a_study_are_those_of_the_rating():
+    kind = models.kind(DRIVE)
+    how = dict(life_samples=PLAN["samples"], pin_contact="linear", duty=((116.0, 20 * rpm, 1.0),))
+    given, found = kind.conditions(**how), rate(DRIVE, life.Duty([116.0], [20 * rpm], [1.0]))
+    due = {"life": found.life, "arm_bearing_life": found.arm[0, 0], "static_safety": found.static_safety}
+    for name, value in due.items():
+        assert float(kind.outputs[name].evaluate(DRIVE, CycloidalErrors(), given)[0]) == pytest.approx(float(value))
+    assert "eccentric bearing" in kind.outputs["arm_bearing_life"].meaning
 
 
 @pytest.mark.parametrize("design", [pytest.param(DRIVE, marks=pytest.mark.long), RING], ids=["carrier", "ring"])

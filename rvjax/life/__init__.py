@@ -5,6 +5,7 @@ ISO 281 (rating, life), ISO 76 (static), ISO/TS 16281 (laminae): docs/models/lif
 
 from rvjax.life.bearing import BearingLife, bearing_life
 from rvjax.life.causes import (
+    crank_order as crank_order,
     first_failures as first_failures,
     force_orders as force_orders,
     phase_shares as phase_shares,

@@ -12,9 +12,10 @@ from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.life.duty import Duty
 from rvjax.life.histories import WEIBULL
+from rvjax.life.kinds import kind_of
 from rvjax.life.rating import Rating
 from rvjax.loaded import admit, bearing_forces, check_input
-from rvjax.records import Scalar
+from rvjax.records import PyTree, Scalar
 from rvjax.status import SolveInfo, succeeded, worst_of
 
 _STEP = 1e-3  # of a speed
@@ -66,9 +67,18 @@ def phase_shares(life_of: Callable[[Duty], np.ndarray], duty: Duty) -> np.ndarra
 class Orders(NamedTuple):
     """Harmonics of the forces of the arm bearings over one revolution of the output."""
 
-    order: np.ndarray  # (n,), > 0: turns as the carrier does, -zp: turns with the crank
+    order: np.ndarray  # (n,), > 0: turns as the output does; `crank_order` turns with the crank
     amplitude: jax.Array  # (d, c, n) complex N: F_x + i F_y = sum of amplitude e^(i order angle), frame of the carrier
     info: SolveInfo
+
+
+def crank_order(design: PyTree) -> int:
+    """Order of the output revolution that turns with the crank: -zp, but zp of a drive whose ring is the output.
+
+    Args:
+        design: one of `life.kinds.KINDS`.
+    """
+    return kind_of(design).sense(design) * design.counts["pins"]
 
 
 def force_orders(
@@ -83,8 +93,8 @@ def force_orders(
 ) -> Orders:
     """Orders of the output revolution in the force of a crank on a disc, in the frame of the carrier.
 
-    Order 0 is fixed in the outer ring and passes over the inner ring. Order -zp turns with the crank: it is fixed in
-    the inner ring. Errors make the others.
+    Order 0 is fixed in the outer ring and passes over the inner ring. The order that turns with the crank is fixed in
+    the inner ring, see `crank_order`. Errors make the others.
 
     Args:
         design: the reducer.

@@ -121,7 +121,7 @@ def check_plan(
         kind = type(design).__name__
         raise ValueError(f"{kind}.bearings = None: the life needs them; give Bearings(arm=RollerBearing(...))")
     if not kind_of(design).supports:
-        check_alone(bearings, type(design).__name__)
+        check_alone(bearings, type(design).__name__, "Bearings")
     for name, bearing in (("arm", bearings.arm), ("support", bearings.support)):
         if bearing is not None:
             check_ratings(bearing, f"Bearings.{name}")
@@ -142,20 +142,21 @@ def check_plan(
     return Plan(layout, int(samples), crank_turns, method, kind_of(design).sense(design))
 
 
-def check_alone(bearings: Bearings, kind: str) -> None:
+def check_alone(bearings: Bearings, kind: str, where: str) -> None:
     """Raise ValueError for what only bearings of a crank in a carrier have.
 
     Args:
         bearings: of the eccentrics.
         kind: of the reducer, for the message.
+        where: name of the bearings, for the message.
 
     Raises:
-        ValueError: names Bearings.support and the field that is given.
+        ValueError: names the support and the field that is given.
     """
     for name in ("support", "preload", *PLACES):
         if getattr(bearings, name) is not None:
             raise ValueError(
-                f"Bearings.{name}: must be None for a {kind}; shaft bearings (Bearings.support) are not rated"
+                f"{where}.{name}: must be None for a {kind}; shaft bearings ({where}.support) are not rated"
             )
 
 

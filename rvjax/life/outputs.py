@@ -16,12 +16,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.compile_cache import QUICK
-from rvjax.catalogue import RV_40E
-from rvjax.designs import Contact, RVReducer, Stiffness
+from rvjax.catalogue import RV_40E, part_class
+from rvjax.cycloidal import CycloidalReducer
+from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors, read_by
 from rvjax.life.duty import Duty
 from rvjax.life.histories import METHODS
-from rvjax.life.machine import check_places, check_plan, input_angles
+from rvjax.life.kinds import kind_of
+from rvjax.life.machine import check_alone, check_places, check_plan, input_angles
 from rvjax.life.rated import RatedTorque, rated_torque
 from rvjax.life.rating import Rating, by_forces, rating, under
 from rvjax.life.ratings import check_ratings, static_rating
@@ -38,6 +40,8 @@ from rvjax.loaded import (
     summary,
     turn,
     turns_of,
+    ways,
+    without_sun,
 )
 from rvjax.outputs import Cases, Description, Joint, Output, Reading, Solved, Usual, Way, condition
 from rvjax.records import PyTree
@@ -104,9 +108,7 @@ def _ways(given: Conditions) -> dict[str, Any]:
         samples=given.life_samples or given.samples,
         method=given.life_method,
         reliability=given.reliability,
-        contact=given.pin_contact,
-        carrier=given.carrier,
-        sun=given.sun,
+        **ways(given),
     )
 
 
@@ -122,9 +124,11 @@ def rated(design: RVReducer, errors: RVErrors, given: Conditions) -> Rating:
 
 def turned_and_rated(design: RVReducer, errors: RVErrors, given: PyTree) -> tuple[Revolution, Rating]:
     """Along the span under the output torque, and under the duty: one loop over all equilibria, half of the program."""
-    design, ways, duty = errors.stiffened(design), _ways(given), _duty(errors, given)
-    supports = given.pin_contact, given.carrier, given.sun
-    plan = check_plan(design, errors, ways["samples"], 1.0, given.life_method, given.reliability, 0.0, supports)
+    design, duty = errors.stiffened(design), _duty(errors, given)
+    samples = given.life_samples or given.samples
+    contact, carrier, sun = ways(given).values()
+    supports = contact, carrier, sun
+    plan = check_plan(design, errors, samples, 1.0, given.life_method, given.reliability, 0.0, supports)
     phases, n = len(given.duty), given.samples
     read = admit(plan.layout, design, errors, jnp.append(duty.output_torque, given.output_torque), 0.0)
     numbers = under(duty, phases, design, read, given.reliability, 0.0)
@@ -175,8 +179,9 @@ def _refusing(name: str, own: Callable[[Conditions], None]) -> Callable[[RVReduc
     """Check the parts of a design, the reliability and the bearings of the method, then run the check `own`."""
 
     def refuse(design: RVReducer, given: Conditions) -> None:
-        for part, cls in (("stiffness", Stiffness), ("contact", Contact)):
+        for part in ("stiffness", "contact"):
             if getattr(design, part) is None:
+                cls = part_class(type(design), part)
                 keys = ", ".join(f.name for f in dataclasses.fields(cls) if f.default is dataclasses.MISSING)
                 raise ValueError(f"design.{part} is missing: {name} needs it, with {keys}")
         if design.bearings is None:
@@ -187,6 +192,8 @@ def _refusing(name: str, own: Callable[[Conditions], None]) -> Callable[[RVReduc
         for place, bearing in (("arm", design.bearings.arm), ("support", design.bearings.support)):
             if bearing is not None:
                 check_ratings(bearing, f"design.bearings.{place}")
+        if not kind_of(design).supports:
+            check_alone(design.bearings, type(design).__name__, "design.bearings")
         check_places(design.bearings, design.counts, "design.bearings")
         if not 0 < given.reliability < 1:
             raise ValueError(f"conditions.reliability = {given.reliability:g}: must lie between 0 and 1")
@@ -283,3 +290,32 @@ DESCRIPTION = Description(
     },
     work={rated: lambda given: ("life", (given.life_samples or given.samples) * len(given.duty))},
 )
+
+
+def _of_eccentrics() -> dict[str, Output]:
+    """The same outputs, of eccentrics in place of cranks."""
+    return {
+        name: dataclasses.replace(output, meaning=meaning)
+        for name, output in DESCRIPTION.outputs.items()
+        for meaning in (
+            output.meaning.replace("a crank bearing in a disc", "an eccentric bearing")
+            .replace("a crank bearing", "an eccentric bearing")
+            .replace("crank bearings", "eccentric bearings"),
+        )
+    }
+
+
+OTHERS = (
+    dataclasses.replace(
+        DESCRIPTION,
+        design=CycloidalReducer,
+        conditions=without_sun("DriveConditions", Conditions, {}),
+        outputs=_of_eccentrics(),
+        cases=None,
+        unknown="bearing life (plane model): tilt and edge load (1 mrad costs a quarter of the life), lubricant and "
+        "dirt, wear, speed of cages; the bearings are rated as roller bearings (ball bearings: exponent 3); bearings "
+        "of the shaft and of the output have no life here",
+        usual={},
+    ),
+)
+"""Of single-stage drives."""

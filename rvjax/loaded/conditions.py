@@ -1,6 +1,7 @@
 """Operating conditions of the whole reducer under load, for its outputs and its bench observations."""
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,22 +31,32 @@ class Conditions:
     sun: str = condition("fixed", "centre of the sun", choices=SUPPORTS)
 
 
-def _of_drive() -> list[tuple[str, Any, Any]]:
-    """The same conditions, but those of a first stage."""
-    said = {
-        "output_torque": "torque of the discs on the output",
-        "second_torque": "of the discs on the output, the second one",
-    }
-    said["input_angle"] = "of the shaft, at which the bench twists the output"
-    return [
+def without_sun(name: str, conditions: type, said: Mapping[str, str]) -> Any:
+    """Class of the same conditions of a single-stage drive: without a first stage.
+
+    Args:
+        name: of the class.
+        conditions: class of those of an RV reducer.
+        said: meanings of fields that differ.
+    """
+    fields: list[Any] = [
         (f.name, Any, dataclasses.field(default=f.default, metadata={**f.metadata, "meaning": meaning}))
-        for f in dataclasses.fields(Conditions)
+        for f in dataclasses.fields(conditions)
         if f.name != "sun"
         for meaning in (said.get(f.name, f.metadata["meaning"]),)
     ]
+    return dataclasses.make_dataclass(name, fields, frozen=True)
 
 
-DriveConditions = dataclasses.make_dataclass("DriveConditions", _of_drive(), frozen=True)
+DriveConditions = without_sun(
+    "DriveConditions",
+    Conditions,
+    {
+        "output_torque": "torque of the discs on the output",
+        "second_torque": "of the discs on the output, the second one",
+        "input_angle": "of the shaft, at which the bench twists the output",
+    },
+)
 """Conditions of a single-stage drive."""
 
 

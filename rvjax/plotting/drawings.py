@@ -1,11 +1,15 @@
 """Drawings of frames and signs: the second stage seen along its axis, and its linkage with the errors of its parts."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Rectangle
 
 from rvjax.designs import RVReducer
 from rvjax.plotting.style import AFTER, BEFORE, LIMIT, PALETTE, new_axes
+from rvjax.records import PyTree
 from rvjax.units import mm
 
 GREY, GREEN = "0.45", PALETTE[2]
@@ -42,7 +46,7 @@ def reducer(design: RVReducer, *, crank_angle: float = np.pi / 4, axes: Axes | N
         axes.annotate(text, end, xytext=shift, textcoords="offset points", va="center")
     arc = np.array([unit_vector(a) for a in np.radians(np.linspace(20, 115, 40))])
     radius = float(cycloid.pin_circle_radius) / mm
-    _sense(axes, 0.3 * radius * arc, 1.2)
+    sense(axes, 0.3 * radius * arc, 1.2)
     axes.annotate("+", tuple(0.34 * radius * unit_vector(np.radians(70))), fontsize=14, ha="center")
     axes.set_aspect("equal")
     axes.set(xlabel="x (mm)", ylabel="y (mm)", title="Second stage along its axis; angles counter-clockwise")
@@ -51,12 +55,13 @@ def reducer(design: RVReducer, *, crank_angle: float = np.pi / 4, axes: Axes | N
     return axes
 
 
-def before_and_after(before: RVReducer, after: RVReducer) -> Axes:
-    """Sections of two designs of the second stage side by side, to one scale; below, their discs seen from the side.
+def before_and_after(before: PyTree, after: PyTree, section: Callable[[Any, Axes], None] | None = None) -> Axes:
+    """Sections of two designs with cycloid discs side by side, to one scale; below, their discs seen from the side.
 
     Args:
         before: on the left.
         after: on the right; a dashed line is the envelope of the other design.
+        section: draws a design along its axis; None: the second stage of an RV reducer.
     """
     import matplotlib.pyplot as plt
 
@@ -70,7 +75,7 @@ def before_and_after(before: RVReducer, after: RVReducer) -> Axes:
             _from_the_side(design, other, axes)
         rows[1][0].set_ylabel("z (mm)")
     for axes, design, other, name in zip(both, (before, after), (after, before), ("before", "after")):
-        _section(design, axes)
+        (section or _section)(design, axes)
         for one, style in ((design, "-"), (other, "--")):
             radius = float(one.cycloid.pin_circle_radius + one.cycloid.pin_radius) / mm
             axes.add_patch(Circle((0, 0), radius, fill=False, ls=style, ec=GREY, lw=1))
@@ -87,13 +92,13 @@ def before_and_after(before: RVReducer, after: RVReducer) -> Axes:
     return both[0]
 
 
-def _disc_width(design: RVReducer) -> float | None:
+def _disc_width(design: PyTree) -> float | None:
     """Width of a disc, m; None where the design has none."""
     width = None if design.contact is None else design.contact.face_width
     return None if width is None else float(width)
 
 
-def _from_the_side(design: RVReducer, other: RVReducer, axes: Axes) -> None:
+def _from_the_side(design: PyTree, other: PyTree, axes: Axes) -> None:
     """Discs between the pins seen along y, half a millimetre apart; the other design's discs dashed."""
     for one, style, filled in ((other, "--", False), (design, "-", True)):
         cycloid, width = one.cycloid, (_disc_width(one) or 0.0) / mm
@@ -174,7 +179,7 @@ def linkage(design: RVReducer, *, crank_angle: float = np.pi / 3, axes: Axes | N
         side = "right" if shift[0] < 0 else "left"
         axes.annotate(text, place, xytext=shift, textcoords="offset points", ha=side, fontsize=9)
     turn = 0.28 * half * np.array([unit_vector(a) for a in np.linspace(0, crank_angle, 30)]) + ends[0]
-    _sense(axes, turn, 1.0)
+    sense(axes, turn, 1.0)
     title = "A disc on two cranks (eccentricity far too long)\n"
     title += "transmission error > 0: carrier counter-clockwise against the disc"
     axes.set_aspect("equal")
@@ -208,8 +213,12 @@ def crank_axes(design: RVReducer) -> list[np.ndarray]:
     return [float(design.cranks.circle_radius) * unit_vector(np.pi + 2 * np.pi * k / count) for k in range(count)]
 
 
-def flank(design: RVReducer) -> np.ndarray:
-    """Flank of a disc about its own centre, m (n, 2): parallel curve of a shortened epitrochoid."""
+def flank(design: PyTree) -> np.ndarray:
+    """Flank of a disc about its own centre, m (n, 2): parallel curve of a shortened epitrochoid.
+
+    Args:
+        design: with a `cycloid` stage.
+    """
     c, t = design.cycloid, np.linspace(0, 2 * np.pi, 60 * design.cycloid.pin_count)
     # Path of a pin's centre in the frame of the disc, and its normal towards the disc.
     path = c.pin_circle_radius * np.stack([np.cos(t), np.sin(t)]) - c.eccentricity * np.stack(
@@ -219,6 +228,13 @@ def flank(design: RVReducer) -> np.ndarray:
     return (path + c.pin_radius * np.stack([-slope[1], slope[0]]) / np.hypot(*slope)).T
 
 
-def _sense(axes: Axes, arc: np.ndarray, width: float) -> None:
+def sense(axes: Axes, arc: np.ndarray, width: float) -> None:
+    """Draw the sense of a rotation as an arc with an arrow.
+
+    Args:
+        axes: where to draw.
+        arc: points (n, 2).
+        width: of the line.
+    """
     axes.plot(*arc.T, color="black", lw=width)
     axes.annotate("", arc[-1], arc[-3], arrowprops=dict(arrowstyle="-|>", color="black", lw=width))

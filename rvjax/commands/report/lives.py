@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from rvjax import life
+from rvjax import life, loaded
 from rvjax.population import Population, drawn, root_key
 from rvjax.records import Design, PyTree, Record, field, record, text
 from rvjax.response import per_response
@@ -47,6 +47,7 @@ class Lives:
         orders: of the output revolution in the force of the arm bearing that fails first most often (k,).
         force: amplitude at the centre, and root mean square over the units, of each order (k, 2) N.
         pins: of the ring; the cranks turn as often in a revolution of the output.
+        crank: order that turns with the crank.
     """
 
     method: str
@@ -68,6 +69,7 @@ class Lives:
     orders: NDArray[np.int64]
     force: Values
     pins: int
+    crank: int
 
     @property
     def weakest(self) -> int:
@@ -120,7 +122,7 @@ class _Question(NamedTuple):
         if not any(name in study.requirements for name in LIVES):
             return None
         given = study.conditions
-        supports = dict(contact=given.pin_contact, carrier=given.carrier, sun=given.sun)
+        supports = loaded.ways(given)
         samples = given.life_samples or given.samples
         ways = dict(samples=samples, method=given.life_method, reliability=given.reliability) | supports
         orders = dict(samples=8 * study.design.counts["pins"]) | supports
@@ -210,10 +212,13 @@ def lives_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> Liv
         orders=np.rint(np.fft.fftfreq(8 * pins, 1 / (8 * pins))).astype(int),
         force=np.stack([wave[0], np.sqrt(np.nanmean(wave[1:] ** 2, axis=0))], axis=1),
         pins=pins,
+        crank=life.crank_order(unit.design),
     )
 
 
 def _names(discs: int, cranks: int, supports: bool) -> tuple[str, ...]:
+    if cranks == 1 and not supports:
+        return tuple(f"disc {disc}" for disc in range(discs))
     names = [f"disc {disc}, crank {crank}" for disc in range(discs) for crank in range(cranks)]
     names += [f"support {side}, crank {crank}" for crank in range(cranks) for side in range(2)] if supports else []
     return tuple(names)

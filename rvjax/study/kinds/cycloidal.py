@@ -4,13 +4,14 @@ import math
 import re
 from collections.abc import Iterator
 from operator import attrgetter
+from typing import Any
 
 from rvjax._reducer.plausible import shown
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.geometry import least_convex_radius
 from rvjax.mounting import unit_errors
 from rvjax.records import Scalar
-from rvjax.study.kinds.kind import Assumed, Kind, Numbers, Start
+from rvjax.study.kinds.kind import Assumed, Drawing, Kind, Numbers, Start
 from rvjax.study.values import in_unit
 
 RATED = {"cycloidal-15": 5.0, "cycloidal-17": 8.8, "cycloidal-29": 116.0}
@@ -142,6 +143,13 @@ def doubts(design: CycloidalReducer) -> list[str]:
                 f"design.{name} = {shown(clearance, 'm')}: above eccentricity/25 = {shown(most, 'm')} forces are too "
                 "low, by up to a third at eccentricity/8"
             )
+    if design.bearings is not None:
+        arm, inside = design.bearings.arm, output.circle_radius - _hole(design)
+        if (reach := (arm.pitch_diameter + arm.roller_diameter) / 2) >= inside:
+            found.append(
+                f"design.bearings.arm.pitch_diameter = {shown(arm.pitch_diameter, 'm')}: the rollers reach "
+                f"{shown(reach, 'm')} from the centre of the disc, its holes begin at {shown(inside, 'm')}"
+            )
     if design.contact is not None and output.pin_radius > CONFORMAL * cycloid.eccentricity:
         found.append(
             f"design.output.pin_radius = {shown(output.pin_radius, 'm')}: more than ten times the eccentricity; "
@@ -157,6 +165,28 @@ def _with_torque(text: str, numbers: Numbers, torque: Assumed | None) -> str:
     return re.sub(r'(output_torque|rated_torque) = "[^"]*"', rf'\1 = "{in_unit(torque.value, "N m")}"', text)
 
 
+def _caption(design: CycloidalReducer) -> str:
+    cycloid, output = design.cycloid, design.output
+    return (
+        f"Drive along its axis, to scale; diameters: {cycloid.pin_count} pins of {shown(2 * cycloid.pin_radius, 'm')} "
+        f"on a circle of {shown(2 * cycloid.pin_circle_radius, 'm')}, {output.count} output pins of "
+        f"{shown(2 * output.pin_radius, 'm')} on a circle of {shown(2 * output.circle_radius, 'm')} in holes of "
+        f"{_exact(2 * _hole(design))}"
+    )
+
+
+def _drawn(design: CycloidalReducer) -> Any:
+    from rvjax.plotting import drive  # only a drawing needs Matplotlib
+
+    return drive.reducer(design)
+
+
+def _compared(before: CycloidalReducer, after: CycloidalReducer) -> Any:
+    from rvjax.plotting import drive
+
+    return drive.before_and_after(before, after)
+
+
 KIND = Kind(
     design=CycloidalReducer,
     name="a single-stage cycloidal drive",
@@ -166,5 +196,6 @@ KIND = Kind(
     rated=RATED,
     orders=attrgetter("orders"),
     unit_errors=unit_errors,
+    drawing=Drawing(_drawn, _caption, _compared, "Section of the drive, drawn to scale, before and after"),
     starts={"loaded": Start("cycloidal-17", PARTS, HEAD, tables=_with_torque)},
 )
