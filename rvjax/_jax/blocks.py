@@ -13,6 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax.records import PyTree
+
 Rows = TypeVar("Rows", np.ndarray, jax.Array)
 
 CPU = "cpu"
@@ -40,6 +42,22 @@ def for_processor() -> bool:
     return bool(_lowered_for.value == CPU)
 
 
+def default_platform() -> str:
+    """Platform of what is on no device yet: of `jax.default_device`, else of the first device."""
+    device: Any = jax.config.values["jax_default_device"]
+    if device is None:
+        return jax.local_devices()[0].platform
+    return device if isinstance(device, str) else device.platform
+
+
+def platform_of(arguments: PyTree) -> str:
+    """Platform of a program of these arguments: of the first array that was put on a device, else the default."""
+    for leaf in jax.tree.leaves(arguments):
+        if isinstance(leaf, jax.Array) and not isinstance(leaf, jax.core.Tracer) and leaf.committed:
+            return next(iter(leaf.devices())).platform
+    return default_platform()
+
+
 class Size(NamedTuple):
     """Rows of a block or a call, on a processor and on a GPU."""
 
@@ -64,9 +82,8 @@ EQUILIBRIA = Size(64, ALL)
 """Equilibria of the loaded reducer. A unit of 24 angles takes 3.3 us on an H100; 342 us in blocks of 64."""
 ROLLER_CASES = Size(512, ALL)
 """Cases of roller forces, 26 x 512 numbers. A case takes 0.6 us on an H100; 19 us in blocks of 512."""
-LINES = Size(2**15, 2**20)
-"""Numbers of the lines of vibration of a block of units, a quarter of a megabyte: the second cache of a core. On a GPU
-eight megabytes, not measured."""
+LINES = 2**15
+"""Numbers of the lines of vibration of a block of units, a quarter of a megabyte: the second cache of a core."""
 LEFT_OPEN = 256
 """Cases of roller forces that Newton steps left open, solved together."""
 LOADS = 8

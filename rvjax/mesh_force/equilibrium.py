@@ -10,6 +10,7 @@ over two dozen rollers cost several times as much; the rule in `_batched` choose
 import functools
 import operator
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -102,10 +103,17 @@ def _batched(law: str, teeth: int) -> Callable[[Case], Found]:
     return along_lanes(TracedLate(functools.partial(_in_blocks, law, teeth), functools.partial(_shapes, teeth)))
 
 
-def _shapes(teeth: int, case: Case) -> Found:
+def _shapes(teeth: int, case: Case) -> PyTree:
     size, dtype = max(leaf.shape[0] for leaf in case), case.torque.dtype
-    number, count, flag = (jax.ShapeDtypeStruct((size,), kind) for kind in (dtype, jnp.int32, bool))
-    return Found(number, jax.ShapeDtypeStruct((size, teeth + 1), dtype), count, number, flag, flag)
+    number: Any = jax.ShapeDtypeStruct((size,), dtype)
+    return Found(
+        windup=number,
+        load=number.update(shape=(size, teeth + 1)),
+        steps=number.update(dtype=jnp.int32),
+        residual=number,
+        overload=number.update(dtype=bool),
+        finite=number.update(dtype=bool),
+    )
 
 
 def _in_blocks(law: str, teeth: int, case: Case) -> Found:
