@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import pytest
 from cli_study import SMALL
 
@@ -101,10 +102,32 @@ def test_help_names_every_command(capsys):
         assert words in text
 
 
-@pytest.mark.parametrize(("given", "due"), [(None, "cpu"), ("cuda", "cuda")])
-def test_commands_use_the_processor_unless_a_platform_is_named(monkeypatch, given, due):
-    monkeypatch.setenv("JAX_PLATFORMS", given or "")
-    if given is None:
-        monkeypatch.delenv("JAX_PLATFORMS")
+@pytest.mark.parametrize(
+    ("given", "gpu", "platforms", "default"),
+    [
+        (None, False, "cpu", None),
+        (None, True, None, "cpu"),  # all that JAX has; what is small stays on the processor
+        ("cuda", True, "cuda", None),
+        ("cuda,cpu", False, "cuda,cpu", "cpu"),
+        ("cpu", True, "cpu", None),
+    ],
+)
+def test_small_work_stays_on_the_processor_unless_a_platform_is_named(monkeypatch, given, gpu, platforms, default):
+    for name in ("JAX_PLATFORMS", "XLA_PYTHON_CLIENT_PREALLOCATE"):
+        monkeypatch.setenv(name, "")  # restored afterwards
+        monkeypatch.delenv(name)
+    if given is not None:
+        monkeypatch.setenv("JAX_PLATFORMS", given)
+    try:
+        importlib.import_module("rvjax.cli.main")._prepare(gpu=gpu)
+        assert os.environ.get("JAX_PLATFORMS") == platforms
+        assert jax.config.values["jax_default_device"] == default
+        assert os.environ["XLA_PYTHON_CLIENT_PREALLOCATE"] == "false"
+    finally:
+        jax.config.update("jax_default_device", None)
+
+
+def test_memory_of_a_gpu_is_taken_in_advance_where_the_user_says_so(monkeypatch):
+    monkeypatch.setenv("XLA_PYTHON_CLIENT_PREALLOCATE", "true")
     importlib.import_module("rvjax.cli.main")._prepare()
-    assert os.environ["JAX_PLATFORMS"] == due
+    assert os.environ["XLA_PYTHON_CLIENT_PREALLOCATE"] == "true"

@@ -15,6 +15,7 @@ import rvjax
 from oracles import cam_roller
 from oracles.cam_roller import corr, geometry, half_widths
 from rvjax import CamRollerErrors, Status, mesh_force
+from rvjax._jax.blocks import lowering
 from rvjax.mesh_force import equilibrium
 from rvjax.mesh_force.block import Found
 from rvjax.mesh_force.case import Case
@@ -141,8 +142,8 @@ def test_random_errors_are_one_batch():
     np.testing.assert_allclose(batch, alone, rtol=1e-12)
 
 
-@pytest.mark.parametrize("backend", ["cpu", "gpu"])
-def test_a_batch_of_several_blocks_is_that_of_one(monkeypatch, backend):
+@pytest.mark.parametrize("platform", ["cpu", "cuda"])
+def test_a_batch_of_several_blocks_is_that_of_one(monkeypatch, platform):
     """A processor solves 600 cases in blocks, a GPU all at once, each at its place; a number that all share stays one.
 
     What solves a block is replaced by sums of what it gets.
@@ -156,12 +157,12 @@ def test_a_batch_of_several_blocks_is_that_of_one(monkeypatch, backend):
         return Found(case.torque, load, *(case.sine + k for k in range(4)))
 
     monkeypatch.setattr(equilibrium, "solve_block", instead)
-    monkeypatch.setattr(jax, "default_backend", lambda: backend)
     draw = np.random.default_rng(2).normal
     numbers = {name: draw(size=600) for name in Case._fields} | {"radius_error": draw(size=(600, 6))}
     case = Case(**numbers | {"palmgren": np.array([3.0])})
-    found = equilibrium._in_blocks("linear", 5, jax.tree.map(jnp.asarray, case))
-    assert sizes == ([512] if backend == "cpu" else [600])
+    with lowering(platform):
+        found = equilibrium._in_blocks("linear", 5, jax.tree.map(jnp.asarray, case))
+    assert sizes == ([512] if platform == "cpu" else [600])
     np.testing.assert_array_equal(found.windup, case.torque)
     np.testing.assert_allclose(found.load, case.torque[:, None] + 3 * case.radius_error, rtol=1e-15)
     np.testing.assert_array_equal(found.finite, case.sine + 3)

@@ -10,11 +10,10 @@ import numpy as np
 from jax.extend.core import Primitive
 from jax.interpreters import batching, mlir
 
+from rvjax._jax import blocks
 from rvjax.records import PyTree
 
 Result = TypeVar("Result")
-
-_WINDOW = 32  # neighbouring batch elements that are recomputed together
 
 
 _traced_late = Primitive("traced_late")
@@ -55,8 +54,19 @@ class TracedLate:
         return [leaves[0].update(shape=leaf.shape, dtype=leaf.dtype, weak_type=False) for leaf in found]
 
 
+@functools.partial(jax.jit, static_argnames=("late", "tree"))
 def _computed(*leaves: Any, late: TracedLate, tree: Any) -> list[jax.Array]:
-    return late.flat(*leaves, tree=tree)
+    return _traced_late.bind(*leaves, late=late, tree=tree)
+
+
+def _lowered(platform: str) -> Callable[..., list[jax.Array]]:
+    """The function, as it is lowered for a platform."""
+
+    def computed(*leaves: Any, late: TracedLate, tree: Any) -> list[jax.Array]:
+        with blocks.lowering(platform):
+            return late.flat(*leaves, tree=tree)
+
+    return computed
 
 
 def _batched(leaves: Any, axes: Any, *, late: TracedLate, tree: Any) -> tuple[list[jax.Array], list[int]]:
@@ -71,7 +81,8 @@ def _batched(leaves: Any, axes: Any, *, late: TracedLate, tree: Any) -> tuple[li
 _traced_late.def_impl(_computed)
 _traced_late.def_abstract_eval(lambda *leaves, late, tree: late.types(*leaves, tree=tree))
 batching.primitive_batchers[_traced_late] = _batched
-mlir.register_lowering(_traced_late, mlir.lower_fun(_computed, multiple_results=True))
+mlir.register_lowering(_traced_late, mlir.lower_fun(_lowered(blocks.GPU), multiple_results=True))
+mlir.register_lowering(_traced_late, mlir.lower_fun(_lowered(blocks.CPU), multiple_results=True), platform=blocks.CPU)
 
 
 def along_lanes(function: Callable[..., Result]) -> Callable[..., Result]:
@@ -106,9 +117,10 @@ def along_lanes(function: Callable[..., Result]) -> Callable[..., Result]:
 def settle(x: jax.Array) -> jax.Array:
     """Return x, stored in memory: XLA otherwise evaluates it again in each kernel that reads it.
 
-    XLA removes any barrier except a loop. The gradient of a crank turn takes 174 ns in the place of 307.
+    XLA removes any barrier except a loop. The gradient of a crank turn takes 174 ns in the place of 307. A GPU, where
+    each loop starts kernels, has x itself.
     """
-    return jax.lax.fori_loop(0, 2, lambda _, x: -x, x)
+    return jax.lax.platform_dependent(x, cpu=lambda x: jax.lax.fori_loop(0, 2, lambda _, x: -x, x), default=lambda x: x)
 
 
 def once_more(
@@ -128,9 +140,8 @@ def once_more(
     def repair(arguments: PyTree, found: jax.Array, todo: jax.Array) -> jax.Array:
         lanes = max(len(leaf) for leaf in jax.tree.leaves((arguments, found, todo)))
         found, todo = (jnp.broadcast_to(x, (lanes,)) for x in (found, todo))
-        window = min(_WINDOW, lanes)
-        windows = -(-lanes // window)
-        of_window = jnp.any(jnp.pad(todo, (0, windows * window - lanes)).reshape(windows, window), axis=1)
+        window = min(blocks.REPAIRED, lanes)
+        of_window = jnp.any(blocks.padded(todo, window, fill=False).reshape(-1, window), axis=1)
 
         def step(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
             found, left = state
@@ -165,14 +176,14 @@ def folded(x: jax.Array, *axes: int, by: Callable[..., jax.Array] = jnp.add) -> 
     """Sum or another reduction over leading axes, halves onto halves: XLA's own has no vectors along the batch.
 
     A maximum of 80 x 64 numbers takes 0.2 us in the place of 10, one over the speeds of 128 units an eighth. One batch
-    element has no vectors, and the derivatives of a sum are simpler.
+    element has no vectors, and the derivatives of a sum are simpler. A GPU has XLA's own.
 
     Args:
         x: batch last.
         axes: all but the last, ascending.
         by: one of `_WHOLE`.
     """
-    if x.shape[-1] == 1:
+    if x.shape[-1] == 1 or not blocks.for_processor():
         return _WHOLE[by](x, axis=axes)
     for axis in reversed(axes):
         rest = []
@@ -189,12 +200,15 @@ def stored(compute: Callable[..., Result], *arguments: PyTree) -> Result:
     """Return compute(*arguments), written to memory: by a branch that is always taken, which XLA cannot see.
 
     Without it, and with `optimization_barrier` too, XLA computes what several results share again for each of them: a
-    Newton step of the loaded reducer takes 8.7 us in the place of 6.5.
+    Newton step of the loaded reducer takes 8.7 us in the place of 6.5. A GPU only computes: 3.3 us a unit of 24 angles
+    in the place of 4.2.
 
     Args:
         compute: to arrays; what does not depend on the arguments is computed in every pass of a loop around it.
         arguments: with a floating point array.
     """
+    if not blocks.for_processor():
+        return compute(*arguments)
     number = next(x for x in jax.tree.leaves(arguments) if jnp.issubdtype(x.dtype, jnp.floating)).ravel()[0]
     compute = jax.jit(compute)  # traced once
     shapes = jax.eval_shape(compute, *arguments)
@@ -209,15 +223,12 @@ def in_blocks(function: Callable[..., PyTree], size: int, *arrays: np.ndarray) -
 
     Args:
         function: of arrays with `size` rows each, to a pytree of arrays with as many.
-        size: rows of a block; the last one is padded with its last row.
+        size: rows of a block.
         *arrays: (rows, ...), at least one row.
 
     Returns:
         The pytree of NumPy arrays with all rows.
     """
-    rows, parts = len(arrays[0]), []
-    for first in range(0, rows, size):
-        index = np.minimum(first + np.arange(size), rows - 1)
-        found = jax.device_get(function(*(array[index] for array in arrays)))
-        parts.append(jax.tree.map(lambda leaf, first=first: leaf[: rows - first], found))
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+    rows = len(arrays[0])
+    parts = [jax.device_get(function(*(array[index] for array in arrays))) for index in blocks.calls(rows, size)]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:rows], *parts)

@@ -17,6 +17,8 @@ from typing import ParamSpec, TypeVar
 import jax
 import numpy as np
 
+from rvjax._jax.blocks import CPU, platform_of
+
 P = ParamSpec("P")
 R = TypeVar("R")
 OFF = "RVJAX_KEEP_PROGRAMS"  # "0": nothing is kept
@@ -70,7 +72,8 @@ compiled in half the time."""
 def quick(*static: int, options: Options = QUICK) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """`jax.jit` with separate compiler options where the function is not part of another program.
 
-    Under `jax.vmap` the options are `QUICK`: a batch of `loaded.torsion` compiles in 9 instead of 17 s.
+    Under `jax.vmap` the options are `QUICK`: a batch of `loaded.torsion` compiles in 9 instead of 17 s. They are those
+    of a processor; a GPU has none.
 
     Args:
         static: numbers of the static arguments.
@@ -85,9 +88,12 @@ def quick(*static: int, options: Options = QUICK) -> Callable[[Callable[P, R]], 
 
         @functools.wraps(function)
         def call(*arguments: P.args, **named: P.kwargs) -> R:
-            if not inside(arguments, named):
-                return alone(options)(*arguments, **named)
-            return (alone(QUICK) if batched_alone(arguments, named) else part)(*arguments, **named)
+            is_inside = inside(arguments, named)
+            if is_inside and not batched_alone(arguments, named):
+                return part(*arguments, **named)
+            if platform_of((arguments, named)) != CPU:
+                return part(*arguments, **named)
+            return alone(QUICK if is_inside else options)(*arguments, **named)
 
         return call
 

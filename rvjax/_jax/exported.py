@@ -25,6 +25,7 @@ import jaxlib.version
 import numpy as np
 
 from rvjax._ground.files import write_atomically
+from rvjax._jax.blocks import platform_of
 from rvjax.records import Array, PyTree, Scalar
 
 SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision", "jax_debug_nans", "jax_numpy_dtype_promotion")
@@ -56,6 +57,7 @@ def exported(
         None if an argument has no name that another process would understand: a function, a random key.
     """
     leaves, tree = jax.tree.flatten(arguments)
+    platform = platform_of(leaves)
     types = [jax.typeof(leaf) for leaf in leaves]
     if any(jnp.issubdtype(t.dtype, jax.dtypes.extended) for t in types):
         return None
@@ -63,9 +65,8 @@ def exported(
     types = [t.update(weak_type=False) if i in packed else t for i, t in enumerate(types)]
     rest = tuple(i for i in range(len(leaves)) if i not in packed)
     try:
-        key = _spelled(
-            (function.__module__, function.__qualname__, sorted(static.items()), tree, types, packed, _setting())
-        )
+        about = function.__module__, function.__qualname__, sorted(static.items()), tree, types, packed
+        key = _spelled((*about, *_setting(platform)))
     except _Unnamed:
         return None
     path = folder / f"{function.__name__}-{hashlib.sha256(key.encode()).hexdigest()[:32]}{SUFFIX}"
@@ -91,7 +92,7 @@ def exported(
     if packed:
         count = sum(math.prod(types[i].shape) for i in packed)
         shapes.insert(0, jax.ShapeDtypeStruct((count,), jnp.result_type(float)))
-    program = jax.export.export(jax.jit(flat))(*shapes)
+    program = jax.export.export(jax.jit(flat), platforms=[_lowered_for(platform)])(*shapes)
     results: Any = flat.tree  # type: ignore[attr-defined]
     shape = jax.tree.unflatten(results, range(results.num_leaves))
     with contextlib.suppress(OSError):  # a full disk: traced again next time
@@ -193,14 +194,21 @@ def _spread(leaf: object) -> jax.sharding.Sharding | None:
     return sharding if sharding is not None and sharding.num_devices > 1 else None
 
 
-def _setting() -> tuple[object, ...]:
+def _lowered_for(platform: str) -> str:
+    """Name of a platform in `jax.export`, which tells apart what JAX calls "gpu"."""
+    if platform != "gpu":
+        return platform
+    return "rocm" if "rocm" in jax.local_devices(backend=platform)[0].client.platform_version.lower() else "cuda"
+
+
+def _setting(platform: str) -> tuple[object, ...]:
     own = [jax.config.values[name] for name in SETTINGS]
     return (
         *own,
         jax.__version__,
         jaxlib.version.__version__,
-        jax.default_backend(),
-        jax.local_device_count(),
+        platform,
+        len(jax.local_devices(backend=platform)),
         _source(),
     )
 

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.batching import in_blocks
+from rvjax._jax.blocks import ASSEMBLED
 from rvjax.assembly.parts import Known
 from rvjax.records import PyTree, Scalar
 from rvjax.response import evaluate, per_response
@@ -18,9 +19,6 @@ from rvjax.tolerances import Requirement
 
 UnitResponse = Callable[[dict[str, PyTree], dict[str, PyTree]], PyTree]
 """(parts {slot: errors}, index {slot: int}) -> scalar or Outcome."""
-
-BLOCKS = 64, 4096
-"""Units at once: few or many, so that a response is compiled twice at most."""
 
 MOST = 2**24
 """Combinations whose costs are kept side by side: beyond, sort some slot first."""
@@ -126,7 +124,7 @@ class Machine:
             draw: number of the draw (batch,).
         """
         lanes = len(place)
-        block = BLOCKS[lanes > BLOCKS[0]]
+        block = ASSEMBLED[lanes > ASSEMBLED[0]]
 
         def of_block(place: np.ndarray, index: np.ndarray, draw: np.ndarray) -> np.ndarray:
             leaves = {slot: [leaf[place[:, k], draw] for leaf in drawn[slot]] for k, slot in enumerate(self.slots)}

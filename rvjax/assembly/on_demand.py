@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from rvjax._ground.progress import detail
+from rvjax._jax.blocks import COMBINATIONS
 from rvjax.assembly.alternation import alternated_by, keeps_best, stopped
 from rvjax.assembly.choice import least_largest, least_sum
 from rvjax.assembly.costs import Machine, best_turn, good, valued
@@ -21,7 +22,6 @@ PILOTS = 256  # exact combinations at least: three in four to fit, the others to
 PER_FEATURE = 4  # pilots for each coefficient of a regression
 MOST_FEATURES = 512  # of a regression with products of all pairs; beyond, with squares only
 ALIKE = 1e-2  # difference of two positions over the spread of all combinations, below which one is estimated for both
-AT_ONCE = 2**18  # combinations
 
 Estimate = Callable[[np.ndarray], np.ndarray]
 
@@ -91,7 +91,7 @@ def screen(
         estimates = _regressions(machine, drawn, cells[~check], mean[~check][:, turns])
     errors = [estimate(cells[check]) - best[check] for estimate in estimates]
     chosen = int(np.argmin([np.mean(error**2) for error in errors]))
-    parts = np.split(np.arange(total), range(AT_ONCE, total, AT_ONCE))
+    parts = np.split(np.arange(total), range(COMBINATIONS, total, COMBINATIONS))
     found = np.concatenate([estimates[chosen](part) for part in parts])
     error = errors[chosen]
     farthest = error.mean() + error.std() * math.sqrt(2 * math.log(total))  # of so many normal errors

@@ -19,7 +19,7 @@ from typing import Any
 
 from rvjax import commands as listed
 from rvjax._ground.lines import refilled, terminal_width
-from rvjax.commands import EXIT_BAD_INPUT, EXIT_OK, run, say
+from rvjax.commands import EXIT_BAD_INPUT, EXIT_OK, may_use_gpu, run, say
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -30,7 +30,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options.command = list(sys.argv[1:] if arguments is None else arguments)
     except SystemExit as stop:  # argparse wrote the error or the help
         return int(stop.code or 0)
-    _prepare()
+    worker = getattr(options, "worker", None)
+    _prepare(gpu=may_use_gpu(options.run.args[0], int(worker[2]) if worker else getattr(options, "processes", 1)))
     from rvjax._ground.frames import MissingExtra
     from rvjax._ground.progress import ended_by
 
@@ -97,8 +98,12 @@ def _count(text: str) -> int:
     return int(number)
 
 
-def _prepare() -> None:
-    """Settings that only the command line may make: float64, flags of XLA, no windows, kept programs and memory."""
+def _prepare(*, gpu: bool = False) -> None:
+    """Settings that only the command line may make: float64, flags of XLA, no windows, kept programs and memory.
+
+    Args:
+        gpu: units may go to a GPU. All else stays on the processor, if there is one among the platforms of JAX.
+    """
     # XLA prefers 256-bit vectors; 512-bit ones are up to 1.8 times as fast where they exist. It stores what a long sum
     # adds up and sums that in stages; in one pass a gradient of means takes two thirds of the time.
     flags = ["--xla_disable_hlo_passes=tree_reduction_rewriter"]
@@ -109,7 +114,10 @@ def _prepare() -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     os.environ.setdefault("MPLBACKEND", "Agg")
-    os.environ.setdefault("JAX_PLATFORMS", "cpu")  # blocks of the loaded reducer are sized for a processor
+    named = os.environ.get("JAX_PLATFORMS")
+    if not (gpu or named):  # a GPU takes seconds to start
+        os.environ["JAX_PLATFORMS"] = "cpu"
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # others use the GPU as well
     # XLA logs lines for every kept program: it takes preferences such as prefer-no-gather for instructions that the
     # processor lacks (the folder of kept programs is that of one processor). JAX sets "1", which its children inherit.
     quiet = os.environ.get("TF_CPP_MIN_LOG_LEVEL") != "0"
@@ -123,6 +131,8 @@ def _prepare() -> None:
     from rvjax._jax import compile_cache
 
     rvjax.enable_x64()
+    if "," in named if named else gpu:
+        jax.config.update("jax_default_device", "cpu")
     if quiet:
         jax.config.update("jax_logging_level", "CRITICAL")  # where JAX was there before
     compile_cache.keep(rvjax.__version__)

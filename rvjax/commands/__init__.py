@@ -12,8 +12,10 @@ from rvjax.commands.speak import (
     READING as READING,
     WRITING as WRITING,
     check_files as check_files,
+    may_use_gpu as may_use_gpu,
     say as say,
     share_cores as share_cores,
+    units_placed as units_placed,
 )
 
 COMMANDS = [

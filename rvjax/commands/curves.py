@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.blocks import AT_ONCE
+from rvjax._jax.blocks import AT_ONCE, calls
 from rvjax._jax.compile_cache import QUICK
 from rvjax.outputs import Curve, torque_condition
 from rvjax.population import Population
@@ -48,8 +48,7 @@ def curves_of(
         torque: other than that of the conditions, N m.
     """
     unit, count, found = _unit(curve, design, conditions, torque), z.shape[1], list[np.ndarray]()
-    for start in range(0, count, AT_ONCE):
-        lanes = np.resize(np.arange(start, min(start + AT_ONCE, count)), AT_ONCE)
+    for lanes in calls(count, AT_ONCE):
         angles, values = _curves(unit, population, jnp.asarray(z[:, lanes]))
         found.append(np.asarray(values))
     return np.asarray(angles)[0], np.concatenate(found)[:count]

@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rvjax._jax.arguments import checked, numbers
+from rvjax._jax.blocks import CURVES
 from rvjax.records import PyTree, Scalar
 from rvjax.tolerances import Estimate
-
-BLOCK = 256  # draws at once: their curves stay small
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -307,7 +306,7 @@ def predicted(correction: Correction, *, draws: int = 4096, seed: int = 0, confi
     sizes = {}
     for name, values in (("", left), ("before_", truth)):
         sizes[f"{name}rms"] = np.sqrt(np.sum(np.abs(values) ** 2, axis=1) / 2)
-        peaks = [np.ptp((values[k : k + BLOCK] @ waves).real, axis=1) for k in range(0, draws, BLOCK)]
+        peaks = [np.ptp((values[k : k + CURVES] @ waves).real, axis=1) for k in range(0, draws, CURVES)]
         sizes[f"{name}peak_to_peak"] = np.concatenate(peaks)
     tails = [(1 - confidence) / 2, (1 + confidence) / 2]
     return Left(

@@ -19,6 +19,7 @@ import numpy as np
 
 from rvjax._ground.choices import choose
 from rvjax._jax.batching import folded
+from rvjax._jax.blocks import LINES
 from rvjax._jax.elementary import root
 from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer
@@ -38,8 +39,6 @@ from rvjax.dynamics.response import METHODS
 from rvjax.errors import RVErrors
 from rvjax.records import Array, PyTree, Record, Scalar, field, record, text
 from rvjax.status import SolveInfo
-
-_NUMBERS = 2**15  # of the lines of a block of units, a quarter of a megabyte: the second cache of a core holds them
 
 
 def factors(value: jax.Array, excitation: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -102,7 +101,7 @@ def _of_units(of_block: Callable[[jax.Array], jax.Array]) -> Callable[[jax.Array
 
     def function(rows: jax.Array, columns: jax.Array) -> jax.Array:
         units, columns = len(columns), jnp.moveaxis(columns, 0, -1)
-        block = min(max(32, _NUMBERS // (rows.size // rows.shape[-1]) // 8 * 8), units)
+        block = min(max(32, LINES // (rows.size // rows.shape[-1]) // 8 * 8), units)
 
         def step(number: jax.Array, found: jax.Array) -> jax.Array:
             start = jnp.minimum(number * block, units - block)

@@ -16,13 +16,13 @@ import numpy as np
 
 from rvjax._ground.columns import elements
 from rvjax._jax.batching import in_blocks
+from rvjax._jax.blocks import PRIORS
 from rvjax.population import Correlation, Population
 from rvjax.records import PyTree
 
 FAR = 38.0
 """Standard deviations beyond which a normal distribution has no mass that a float distinguishes from 0."""
 
-FEW, MANY = 8, 4096
 """Units in one call of the map: one program, and another one for draws."""
 
 _HALVINGS = 64  # of the interval (-FAR, FAR): to the last bit
@@ -65,7 +65,7 @@ def standard(population: Population, values: jax.Array) -> jax.Array:
 def mapped_values(elements: "Elements", u: np.ndarray) -> np.ndarray:
     """Values (k, p) of units u (k, p), on the host."""
     few = lambda part: mapped(elements.population, part)[0]  # noqa: E731
-    return np.asarray(in_blocks(few, FEW if len(u) <= MANY else MANY, np.asarray(u, float)), float)
+    return np.asarray(in_blocks(few, PRIORS[len(u) > PRIORS[1]], np.asarray(u, float)), float)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

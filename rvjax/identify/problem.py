@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.batching import in_blocks
+from rvjax._jax.blocks import DENSITIES, LINEARISED
 from rvjax.identify.elements import Elements, elementwise, values_of
 from rvjax.identify.gauss_newton import Linearised, half_square, mixed
 from rvjax.identify.noise import Noise
@@ -21,12 +22,6 @@ from rvjax.records import PyTree
 from rvjax.response import PROGRAMS, per_response
 
 Model = Callable[[PyTree], PyTree]
-
-LANES = 8
-"""Units, or parts of them, that are linearised at once."""
-
-MANY = 64
-"""Points that are evaluated at once where only the density is required."""
 
 
 class Given(NamedTuple):
@@ -98,7 +93,7 @@ class Problem:
         models: Sequence[Model] = (),
         plain: bool = False,
         part: bool = False,
-        together: int = LANES,
+        together: int = LINEARISED,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Observations (k, m) and their slopes over x (k, m, p) of several units, block by block.
 
@@ -259,7 +254,7 @@ def densities(model: Model, given: Given, y: jax.Array, z: jax.Array) -> jax.Arr
         value = jnp.sum(z**2) / 2 + half_square(residual, given.dof)
         return jnp.where(jnp.isfinite(value), value, jnp.inf)
 
-    return jax.lax.map(phi, z, batch_size=MANY)
+    return jax.lax.map(phi, z, batch_size=DENSITIES)
 
 
 def counted(name: str, value: int, least: int) -> None:

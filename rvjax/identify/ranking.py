@@ -15,15 +15,13 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 import numpy as np
 
 from rvjax._jax.arguments import checked
+from rvjax._jax.blocks import SETS
 from rvjax.identify.check import slopes_at
 from rvjax.identify.noise import Noise
 from rvjax.identify.posterior import Posterior
 from rvjax.identify.problem import Model, Problem, counted, program_of
 from rvjax.population import Correlation
 from rvjax.records import PyTree
-
-BLOCK = 256
-"""Sets that are computed at once."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -196,7 +194,7 @@ class _Gain:
         """Return the set of largest gain; the empty one where there is none."""
         found: tuple[tuple[int, ...], float] = ((), 0.0)
         for _, same in itertools.groupby(sets, len):
-            while block := list(itertools.islice(same, BLOCK)):
+            while block := list(itertools.islice(same, SETS)):
                 gains = self.of_sets(block)
                 if gains.max() > found[1] or not found[0]:
                     found = block[int(np.argmax(gains))], float(gains.max())

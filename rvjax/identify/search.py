@@ -7,9 +7,10 @@ import numpy as np
 from scipy import special
 
 from rvjax._jax.batching import in_blocks
+from rvjax._jax.blocks import LINEARISED
 from rvjax.identify.gauss_newton import NEAR, Linearised, Mode, half_square, modes
 from rvjax.identify.information import Spectrum
-from rvjax.identify.problem import LANES, Problem, densities, parts_of
+from rvjax.identify.problem import Problem, densities, parts_of
 from rvjax.status import SolveInfo, Status
 
 APART = 1.0
@@ -76,7 +77,13 @@ def search(
 
 
 def follow(
-    problem: Problem, y: np.ndarray, starts: np.ndarray, max_steps: int, *, part: bool = False, together: int = LANES
+    problem: Problem,
+    y: np.ndarray,
+    starts: np.ndarray,
+    max_steps: int,
+    *,
+    part: bool = False,
+    together: int = LINEARISED,
 ) -> Mode:
     """Follow starts (k, n) of units with the data y (k, m).
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from rvjax import status
 from rvjax._ground.choices import choose
+from rvjax._jax.blocks import LOADS, padded
 from rvjax._jax.compile_cache import quick
 from rvjax._jax.elementary import log, power
 from rvjax._reducer.bearings import RollerBearing
@@ -27,7 +28,6 @@ LAMINAE = 41
 _SPRING = 35948.0  # N / mm^(10/9) over mm^(8/9): Eq. 12
 _LINE = 10 / 9
 _RING = 72  # points of a ring; Eq. 14 to 1e-6
-_BLOCK = 8  # loads whose points are computed together: what they need stays in the cache
 
 
 class Rollers(NamedTuple):
@@ -139,9 +139,7 @@ def slices(
             return total + jnp.tensordot(share, loads**4, 1), None
 
         begin = jnp.zeros((_RING, LAMINAE), force.dtype)
-        fill = -len(weight) % _BLOCK
-        padded = [jnp.pad(x, [(0, fill)] + [(0, 0)] * (x.ndim - 1)) for x in (cosine, approach, weight)]
-        blocks = [x.reshape(-1, _BLOCK, *x.shape[1:]) for x in padded]
+        blocks = [padded(x, LOADS, fill=0).reshape(-1, LOADS, *x.shape[1:]) for x in (cosine, approach, weight)]
         damage, _ = jax.lax.scan(jax.checkpoint(block), begin, tuple(blocks))  # Eq. 14
         return jnp.sum(jnp.mean(power(damage, WEIBULL), axis=0))
 

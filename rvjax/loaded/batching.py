@@ -13,13 +13,11 @@ import jax
 import jax.numpy as jnp
 
 from rvjax._jax.batching import TracedLate
+from rvjax._jax.blocks import EQUILIBRIA, GROUP
 from rvjax.loaded.system import Layout, System
 from rvjax.records import PyTree
 
 Kernel = Callable[..., PyTree]
-
-BLOCK = 64  # batch elements; a block's arrays stay in the cache of one core
-_FEW = 8  # elements of a group; with fewer each case is an element with a separate geometry
 
 
 @functools.lru_cache(maxsize=64)
@@ -79,7 +77,7 @@ def _over_groups(kernel: Kernel, layout: Layout, system: System, *arrays: jax.Ar
     """Arguments (groups or 1, elements or 1, ...) -> results (groups, elements, ...)."""
     leaves, tree = jax.tree.flatten((system, *arrays))
     groups, lanes = (max(leaf.shape[axis] for leaf in leaves) for axis in (0, 1))
-    if groups > 1 and lanes < _FEW:
+    if groups > 1 and lanes < GROUP:
         flat = [jnp.broadcast_to(leaf, (groups, lanes, *leaf.shape[2:])) for leaf in leaves]
         flat = [leaf.reshape(groups * lanes, *leaf.shape[2:]) for leaf in flat]
         found = kernel(layout, *jax.tree.unflatten(tree, flat))
@@ -108,7 +106,7 @@ def in_blocks(kernel: Kernel, arguments: tuple[PyTree, ...]) -> PyTree:
         arguments: system and arrays.
     """
     cases = max(len(leaf) for leaf in jax.tree.leaves(arguments))
-    width = min(cases, BLOCK)
+    width = min(cases, EQUILIBRIA.here)
 
     def block(first: jax.Array) -> PyTree:
         def part(leaf: jax.Array) -> jax.Array:

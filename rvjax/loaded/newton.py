@@ -17,8 +17,9 @@ import jax.numpy as jnp
 from jax.typing import DTypeLike
 
 from rvjax._jax.batching import folded, stored
+from rvjax._jax.blocks import EQUILIBRIA
 from rvjax.loaded import laws
-from rvjax.loaded.batching import BLOCK, take
+from rvjax.loaded.batching import take
 from rvjax.loaded.contacts import (
     Contacts,
     Held,
@@ -115,7 +116,7 @@ def _working_first(s: System) -> System:
 def _round(layout: Layout, system: System, start: jax.Array, tour: _Tour) -> _Tour:
     """Every case of the queue, as many at a time as a block has places."""
     cases = len(tour.queued)
-    width = min(cases, BLOCK)
+    width = min(cases, EQUILIBRIA.here)
     (queue,) = jnp.nonzero(tour.queued, size=cases, fill_value=cases)
     many, again = jnp.sum(tour.queued, dtype=jnp.int32), tour.number > 0
 

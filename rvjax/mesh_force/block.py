@@ -26,6 +26,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rvjax._jax.blocks import LEFT_OPEN
 from rvjax._jax.elementary import power
 from rvjax.mesh_force import laws, line_contact, safe
 from rvjax.mesh_force.case import Case, all_rollers, lever
@@ -36,7 +37,6 @@ from rvjax.status import window
 _LINEAR_STEPS = 8  # at most; 3 to 5 are usual
 _GUESS_STEPS = 8  # at most; 1 or 2 are usual, 4 for "palmgren"
 _NEWTON_STEPS = 4  # at most; 1 is usual
-_CHUNK = 256  # cases that `safe.solve` gets at a time
 
 
 class Found(NamedTuple):
@@ -269,7 +269,7 @@ def _left_open(
 
     def some(state: PyTree) -> PyTree:
         todo, found = state
-        (lanes,) = jnp.nonzero(todo, size=min(_CHUNK, size), fill_value=size)
+        (lanes,) = jnp.nonzero(todo, size=min(LEFT_OPEN, size), fill_value=size)
         taken = jax.tree.map(lambda leaf: leaf if leaf.shape[-1] == 1 else leaf[..., lanes], case)
         part = safe.solve(law, teeth, taken, torque[lanes], start[lanes])
         part["steps"] += found["steps"][lanes]

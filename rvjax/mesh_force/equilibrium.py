@@ -10,6 +10,7 @@ over two dozen rollers cost several times as much; the rule in `_batched` choose
 import functools
 import operator
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +18,8 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from rvjax._ground.choices import choose
-from rvjax._jax.batching import along_lanes
+from rvjax._jax.batching import TracedLate, along_lanes
+from rvjax._jax.blocks import ROLLER_CASES, padded
 from rvjax._jax.elementary import LARGEST_ANGLE
 from rvjax._reducer.plausible import checked
 from rvjax.designs import CamRollerReducer, expect
@@ -28,8 +30,6 @@ from rvjax.mesh_force.case import Case, all_rollers, lever, take_apart
 from rvjax.mesh_force.laws import Compliance
 from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record, signs_hold
 from rvjax.status import SolveInfo, Status, admit, converged, window
-
-_BLOCK = 512  # cases; a block's arrays (26, 512) stay in the cache of one core. A GPU solves all at once: 19 -> 0.6 us
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -100,28 +100,37 @@ def _equilibrium_jvp(law: str, teeth: int, primals: PyTree, tangents: PyTree) ->
 @functools.lru_cache(maxsize=64)
 def _batched(law: str, teeth: int) -> Callable[[Case], Found]:
     """Batch (cases, ...) -> Found (cases, ...); vmap makes a larger batch of it."""
-    return along_lanes(functools.partial(_in_blocks, law, teeth))
+    return along_lanes(TracedLate(functools.partial(_in_blocks, law, teeth), functools.partial(_shapes, teeth)))
+
+
+def _shapes(teeth: int, case: Case) -> PyTree:
+    size, dtype = max(leaf.shape[0] for leaf in case), case.torque.dtype
+    number: Any = jax.ShapeDtypeStruct((size,), dtype)
+    return Found(
+        windup=number,
+        load=number.update(shape=(size, teeth + 1)),
+        steps=number.update(dtype=jnp.int32),
+        residual=number,
+        overload=number.update(dtype=bool),
+        finite=number.update(dtype=bool),
+    )
 
 
 def _in_blocks(law: str, teeth: int, case: Case) -> Found:
     size = max(len(leaf) for leaf in case)
-    if size <= _BLOCK or jax.default_backend() != "cpu":
+    width = min(size, ROLLER_CASES.here)
+    if size == width:
         return solve_block(law, teeth, case, size)
-    blocks = -(-size // _BLOCK)
-
-    def cut(leaf: jax.Array) -> jax.Array:
-        leaf = jnp.concatenate([leaf, jnp.broadcast_to(leaf[-1:], (blocks * _BLOCK - size, *leaf.shape[1:]))])
-        return leaf.reshape(blocks, _BLOCK, *leaf.shape[1:])
-
     shared = [len(leaf) == 1 for leaf in case]
 
     def block(parts: list[jax.Array]) -> Found:
         rest = iter(parts)
         whole = Case(*(leaf if is_shared else next(rest) for leaf, is_shared in zip(case, shared)))
-        return solve_block(law, teeth, whole, _BLOCK)
+        return solve_block(law, teeth, whole, width)
 
-    found = jax.lax.map(block, [cut(leaf) for leaf, is_shared in zip(case, shared) if not is_shared])
-    return jax.tree.map(lambda leaf: leaf.reshape(blocks * _BLOCK, *leaf.shape[2:])[:size], found)
+    own = [leaf for leaf, is_shared in zip(case, shared) if not is_shared]
+    found = jax.lax.map(block, [padded(leaf, width).reshape(-1, width, *leaf.shape[1:]) for leaf in own])
+    return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:size], found)
 
 
 @record

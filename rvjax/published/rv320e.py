@@ -14,6 +14,7 @@ import numpy as np
 
 from rvjax import dynamics
 from rvjax._jax.batching import in_blocks
+from rvjax._jax.blocks import PUBLISHED
 from rvjax.catalogue import RV_320E
 from rvjax.designs import InvoluteStage, RVReducer
 from rvjax.published.rv320e_appendix import printed_stiffness
@@ -106,16 +107,13 @@ def _moved(values: jax.Array, along: jax.Array, speed: jax.Array) -> tuple[jax.A
     return jax.jvp(amplitude, (values,), (along,))
 
 
-LANES = 200  # a call, so that all figures share one program
-
-
 def _lanes(name: str, values: PyTree, speed: Scalar = RATED) -> tuple[np.ndarray, np.ndarray]:
     """B (n, 9, OUTPUTS) and dB/dxi over the values of one number and speeds in rad/s, all else nominal."""
     values, speed = (np.asarray(x, float) for x in np.broadcast_arrays(np.atleast_1d(values), speed))
     numbers = np.tile(NOMINAL, (len(values), 1))
     numbers[:, MOVED.index(name)] = values
     along = np.broadcast_to(np.eye(len(MOVED))[MOVED.index(name)], numbers.shape)
-    return in_blocks(_moved, LANES, numbers, along, speed)
+    return in_blocks(_moved, PUBLISHED, numbers, along, speed)
 
 
 @cache

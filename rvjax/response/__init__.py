@@ -1,6 +1,12 @@
 """Response: a pure function of the errors of one unit, evaluated for many units on all devices."""
 
-from rvjax.response.devices import Evaluator as Evaluator, gathered as gathered, place as place
+from rvjax.response.devices import (
+    Evaluator as Evaluator,
+    gathered as gathered,
+    place as place,
+    units_devices as units_devices,
+    units_on as units_on,
+)
 from rvjax.response.gradients import (
     begin_gradients as begin_gradients,
     elements as elements,

@@ -3,8 +3,9 @@
 Several processes, or hosts, share a study chunk by chunk; JAX's distributed runtime joins what each has counted.
 """
 
+import contextlib
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import jax
@@ -12,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._ground.files import Arrays, pack, unpack
+from rvjax._jax.blocks import default_platform, padded
 from rvjax.population import Population, SobolPoints, drawn, root_key
 from rvjax.records import PyTree, Record
 from rvjax.response.response import R, Response, Values, per_response, respond
@@ -19,6 +21,28 @@ from rvjax.response.response import R, Response, Values, per_response, respond
 UNITS = jax.sharding.PartitionSpec("units")
 NUMBERS = jax.sharding.PartitionSpec(None, "units")
 _EVERYWHERE = jax.sharding.PartitionSpec()
+
+_chosen: list[jax.Device] = []  # by `units_on`, for all threads
+
+
+@contextlib.contextmanager
+def units_on(devices: Sequence[jax.Device]) -> Iterator[None]:
+    """A context within which units are computed on these devices; everything else stays where it is.
+
+    Args:
+        devices: of one platform; none: the default ones.
+    """
+    before = list(_chosen)
+    _chosen[:] = devices
+    try:
+        yield
+    finally:
+        _chosen[:] = before
+
+
+def units_devices() -> list[jax.Device]:
+    """Devices that compute units: those of `units_on`, else all local ones of the default platform."""
+    return list(_chosen) or jax.local_devices(backend=default_platform())
 
 
 class Evaluator:
@@ -28,8 +52,10 @@ class Evaluator:
         """Checked inputs of an evaluation, as in `monte_carlo`; `chunk` units at once."""
         self._response, self._population, self._key = response, population, root_key(seed)
         self._points = SobolPoints(population.numbers, seed) if method == "sobol" else None
-        devices = jax.local_devices()
+        devices = units_devices()
         self._mesh = jax.sharding.Mesh(np.array(devices), ("units",)) if len(devices) > 1 else None
+        if self._mesh is None:
+            self._key = on(None, self._key)  # the device that computes draws as well
         # Every device gets the same number of units; those past the end of the chunk are never looked at.
         self._count = -(-chunk // len(devices)) * len(devices)
 
@@ -51,10 +77,7 @@ class Evaluator:
 
     def _z(self, first: int) -> jax.Array:
         if self._points is not None:
-            z = self._points.z(first, self._count).astype(jnp.result_type(float))
-            if self._mesh is None:
-                return jnp.asarray(z)
-            return jax.device_put(z, jax.sharding.NamedSharding(self._mesh, NUMBERS))
+            return on(self._mesh, jnp.asarray(self._points.z(first, self._count), jnp.result_type(float)))
         if self._mesh is None:
             return drawn(self._population, self._key, jnp.uint32(first), count=self._count)
         return _drawn_on(self._mesh, self._count, self._population, self._key, jnp.uint32(first))
@@ -113,14 +136,16 @@ def shared_out(
 
 
 def mesh_of(units: int) -> jax.sharding.Mesh | None:
-    """All local devices, where they can share so many units evenly; None for one alone."""
-    devices = jax.local_devices()
+    """All devices of units, where they can share so many evenly; None for one alone."""
+    devices = units_devices()
     return jax.sharding.Mesh(np.array(devices), ("units",)) if len(devices) > 1 and units % len(devices) == 0 else None
 
 
-def on(mesh: jax.sharding.Mesh, rows: jax.Array) -> jax.Array:
-    """Rows (numbers, units) shared out: a kept program takes them so."""
-    return jax.device_put(rows, jax.sharding.NamedSharding(mesh, NUMBERS))
+def on(mesh: jax.sharding.Mesh | None, rows: jax.Array) -> jax.Array:
+    """Rows (numbers, units) shared out, as a kept program takes them; without a mesh on the device of `units_on`."""
+    if mesh is not None:
+        return jax.device_put(rows, jax.sharding.NamedSharding(mesh, NUMBERS))
+    return jax.device_put(rows, _chosen[0]) if _chosen else rows
 
 
 def place() -> tuple[int, int]:
@@ -134,7 +159,6 @@ def gathered(state: Arrays) -> list[dict[str, np.ndarray]]:
 
     content = np.frombuffer(pack(state), np.uint8)
     lengths = np.ravel(multihost_utils.process_allgather(np.array([content.size], np.int32)))
-    padded = np.zeros(int(lengths.max()), np.uint8)
-    padded[: content.size] = content
-    rows = np.asarray(multihost_utils.process_allgather(padded)).reshape(len(lengths), -1)
+    content = padded(content, int(lengths.max()), fill=0)
+    rows = np.asarray(multihost_utils.process_allgather(content)).reshape(len(lengths), -1)
     return [unpack(row[:length].tobytes()) for row, length in zip(rows, lengths)]

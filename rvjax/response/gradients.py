@@ -7,11 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.blocks import PULLED
+from rvjax._jax.blocks import calls
 from rvjax.population import Population
 from rvjax.response.devices import NUMBERS, UNITS, mesh_of, on, shared_out
 from rvjax.response.response import Response, evaluate, is_costly, per_response, response_names
-from rvjax.response.solving import begin, chunks, pulls, solution
+from rvjax.response.solving import begin, pulls, sloped_together, solution
 
 
 @per_response(static=("names", "mesh"))
@@ -57,9 +57,10 @@ def _on_all_devices(
     response: Response, population: Population, errors: jax.Array, cotangents: jax.Array, *, names: tuple[str, ...]
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     mesh = mesh_of(errors.shape[1])
+    rows = on(mesh, errors), on(mesh, cotangents)
     if mesh is None:
-        return pulled(response, population, errors, cotangents, names=names)
-    return _pulled_on(response, population, on(mesh, errors), on(mesh, cotangents), names=names, mesh=mesh)
+        return pulled(response, population, *rows, names=names)
+    return _pulled_on(response, population, *rows, names=names, mesh=mesh)
 
 
 def gradients(
@@ -86,7 +87,7 @@ def gradients(
         units = inverse.ravel()
         return values[rows][:, units], pulls(response, population, errors, state[:, units], weights)
     found, dtype = [], jnp.result_type(float)
-    for lanes in chunks(errors.shape[1], PULLED):
+    for lanes in calls(errors.shape[1], sloped_together()):
         arrays = (jnp.asarray(rows[:, lanes], dtype) for rows in (errors, cotangents))
         found.append(_on_all_devices(response, population, *arrays, names=names))
     parts = zip(*((value, slope) for value, _, slope in found))
@@ -98,20 +99,21 @@ def begin_gradients(response: Response, population: Population) -> None:
     """Begin the program of the gradients, see `Compiled.begin`."""
     if is_costly(response):
         return begin(response, population, slopes=True)
-    names, mesh, dtype = response_names(response, population), mesh_of(PULLED), jnp.result_type(float)
+    names, size, dtype = response_names(response, population), sloped_together(), jnp.result_type(float)
+    mesh = mesh_of(size)
     count = sum(math.prod(t.shape) for t in population.active.values())
-    arrays = [jnp.zeros((rows, PULLED), dtype) for rows in (count, len(names))]
+    arrays = [on(mesh, jnp.zeros((rows, size), dtype)) for rows in (count, len(names))]
     if mesh is None:
         pulled.begin(response, population, *arrays, names=names)
     else:
-        _pulled_on.begin(response, population, *(on(mesh, rows) for rows in arrays), names=names, mesh=mesh)
+        _pulled_on.begin(response, population, *arrays, names=names, mesh=mesh)
     return None
 
 
 def nominal_status(response: Response, population: Population) -> int:
     """Status of the unit without errors, by the program of the gradients."""
     names, count = response_names(response, population), sum(math.prod(t.shape) for t in population.active.values())
-    lanes = (jnp.zeros((rows, PULLED), jnp.result_type(float)) for rows in (count, len(names)))
+    lanes = (jnp.zeros((rows, sloped_together()), jnp.result_type(float)) for rows in (count, len(names)))
     return int(_on_all_devices(response, population, *lanes, names=names)[1][0])
 
 

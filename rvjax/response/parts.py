@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.blocks import PULLED
+from rvjax._jax.blocks import PULLED, calls
 from rvjax.population import Population
 from rvjax.response.devices import Evaluator
 from rvjax.response.gradients import begin_gradients, elements, gradients
 from rvjax.response.response import Response, Values, is_costly, response_names
-from rvjax.response.solving import Errors, Solution, begin, chunks, pulls, solution, solve, without_errors
+from rvjax.response.solving import Errors, Solution, begin, pulls, solution, solve, without_errors
 from rvjax.status import Status, succeeded, worst
 
 
@@ -47,7 +47,7 @@ class Part:
             cotangents: weights (k, n) of the values.
         """
         own = _drawn(population, z)
-        errors = np.concatenate([np.asarray(own(lanes)) for lanes in chunks(z.shape[1], PULLED)], axis=1)[
+        errors = np.concatenate([np.asarray(own(lanes)) for lanes in calls(z.shape[1], PULLED)], axis=1)[
             :, : z.shape[1]
         ]
         return self.slopes_of_elements(population, errors, state, cotangents)
@@ -82,7 +82,7 @@ class Part:
 
     def nominal_status(self, population: Population) -> int:
         """Status of the unit without errors, by the program of all the others."""
-        return int(self._of(population, 1, lambda lanes: without_errors(population))[1][0])
+        return int(self._of(population, 1, lambda lanes: without_errors(population, len(lanes)))[1][0])
 
     def _of(self, population: Population, count: int, errors: Errors) -> Solution:
         self.solved += count

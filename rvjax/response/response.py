@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._ground.choices import UnknownWord, meant
+from rvjax._jax.blocks import BLOCK as BLOCK, CPU, platform_of
 from rvjax._jax.callbacks import called_back
 from rvjax._jax.compile_cache import Options, inside, kept_folder, understood
 from rvjax.population import Given, Population, drawn
@@ -24,10 +25,6 @@ from rvjax.status import Status, succeeded, worst
 
 if TYPE_CHECKING:
     from rvjax._jax.exported import Kept
-
-BLOCK = 4096
-"""Default number of units at once: the same everywhere, so that a response is compiled for it once; temporaries of
-a response over many angles then fit the cache. A four-bar unit takes no longer than in blocks of 16,384."""
 
 PLAIN = ""
 """Name of the value of a response that returns one scalar."""
@@ -104,7 +101,7 @@ class Compiled(Generic[R]):
         if inside(response, arguments):
             jitted, first = self._program(response)
             return jitted(*first, *arguments, **static)
-        options = (*getattr(response, "compiler_options", ()), *self._options)
+        options = self._chosen(response, arguments)
         if isinstance(response, Record) and (folder := kept_folder()) is not None:
             return self._kept(folder, options, (response, *arguments), static)
         jitted, first = self._program(response, options)
@@ -123,7 +120,7 @@ class Compiled(Generic[R]):
         Returns:
             Shapes of the value; None where nothing was begun.
         """
-        options = (*getattr(response, "compiler_options", ()), *self._options)
+        options = self._chosen(response, arguments)
         if not isinstance(response, Record) or (folder := kept_folder()) is None:
             return None
         program, leaves = self._traced(folder, options, (response, *arguments), static)
@@ -133,6 +130,10 @@ class Compiled(Generic[R]):
         if program.begun is None:
             program.begun = self._threads.submit(lambda: jax.block_until_ready(kept.call(*kept.given(leaves))))
         return kept.put_together(jax.eval_shape(kept.call, *kept.given(leaves)))
+
+    def _chosen(self, response: Function, arguments: PyTree) -> Options:
+        """Options of the program; they are those of a processor."""
+        return (*getattr(response, "compiler_options", ()), *self._options) if platform_of(arguments) == CPU else ()
 
     def _kept(self, folder: Path, options: Options, arguments: PyTree, static: dict[str, object]) -> R:
         """The function's value, by a program that this or an earlier process has traced."""
@@ -153,7 +154,7 @@ class Compiled(Generic[R]):
         leaves, tree = jax.tree.flatten(arguments)
         # Not the types that JAX gives to a hundred Python numbers: hashing these took half of the time of a call.
         types = tuple(map(_type_of, leaves))
-        key = (folder, options, tree, types, tuple(sorted(static.items())))
+        key = (folder, platform_of(leaves), options, tree, types, tuple(sorted(static.items())))
         known = self._flat.get(key)
         if known is None:
             found = exported(folder, self.__wrapped__, static, arguments)  # type: ignore[attr-defined]

@@ -13,11 +13,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.blocks import AT_ONCE, PULLED
+from rvjax._jax.blocks import SLOPED, SOLVED, calls
 from rvjax._jax.marked import Marked
 from rvjax.population import Population
 from rvjax.records import Record
-from rvjax.response.devices import NUMBERS, UNITS, mesh_of, on, shared_out
+from rvjax.response.devices import NUMBERS, UNITS, mesh_of, on, shared_out, units_devices
 from rvjax.response.response import Compiled, R, Response, Values, evaluate, per_response, response_names
 
 Errors = Callable[[np.ndarray], jax.Array]  # of the indices of some units
@@ -33,7 +33,7 @@ class Units(NamedTuple):
 
 
 def solve(response: Response, population: Population, count: int, errors: Errors) -> list[Units]:
-    """Solve some units, `AT_ONCE` in a call.
+    """Solve some units, `SOLVED` in a call.
 
     Args:
         response: of one unit.
@@ -44,18 +44,19 @@ def solve(response: Response, population: Population, count: int, errors: Errors
     Returns:
         Units of each call, as NumPy arrays.
     """
-    mesh, running = mesh_of(AT_ONCE), []
-    place = np.arange(AT_ONCE).reshape(1 if mesh is None else mesh.size, -1)  # of each unit, one device after another
+    size = _solved_together()
+    mesh, running = mesh_of(size), []
+    place = np.arange(size).reshape(1 if mesh is None else mesh.size, -1)  # of each unit, one device after another
     unit = np.argsort(place.T.ravel())
-    for first in range(0, count, AT_ONCE):
-        rows = jnp.where(first + unit < count, errors(np.minimum(first + unit, count - 1)), jnp.nan)
+    for first in range(0, count, size):
+        rows = on(mesh, jnp.where(first + unit < count, errors(np.minimum(first + unit, count - 1)), jnp.nan))
         if mesh is None:
             running.append(Units(*_solved(response, population, rows)))
         else:
-            running.append(Units(*_solved_on(response, population, on(mesh, rows), mesh=mesh)))
+            running.append(Units(*_solved_on(response, population, rows, mesh=mesh)))
     order = place.T.ravel()
     return [
-        jax.tree.map(lambda x, n=count - number * AT_ONCE: np.asarray(x)[..., order[:n]], found)
+        jax.tree.map(lambda x, n=count - number * size: np.asarray(x)[..., order[:n]], found)
         for number, found in enumerate(running)
     ]
 
@@ -82,13 +83,14 @@ def pulls(
         state: (numbers, n) of these units, by `solution`.
         cotangents: (k, n), values by `response_names`.
     """
-    mesh, dtype, found = mesh_of(PULLED), jnp.result_type(float), []
-    for lanes in chunks(errors.shape[1], PULLED):
-        rows = [jnp.asarray(each[:, lanes], dtype) for each in (errors, state, cotangents)]
+    size, dtype, found = sloped_together(), jnp.result_type(float), []
+    mesh = mesh_of(size)
+    for lanes in calls(errors.shape[1], size):
+        rows = [on(mesh, jnp.asarray(each[:, lanes], dtype)) for each in (errors, state, cotangents)]
         if mesh is None:
             found.append(_pulled(response, population, *rows))
         else:
-            found.append(_pulled_on(response, population, *(on(mesh, each) for each in rows), mesh=mesh))
+            found.append(_pulled_on(response, population, *rows, mesh=mesh))
     return np.concatenate([np.asarray(row, float) for row in found], axis=1)[:, : errors.shape[1]]
 
 
@@ -100,35 +102,41 @@ def begin(response: Response, population: Population, *, slopes: bool = False) -
         population: as in `solve`.
         slopes: with the one for gradients.
     """
-    mesh, none = mesh_of(AT_ONCE), jnp.full_like(without_errors(population), jnp.nan)
-    solving = _begun(_solved, _solved_on, mesh, response, population, none)
+    none = jnp.full_like(without_errors(population, _solved_together()), jnp.nan)
+    solving = _begun(_solved, _solved_on, response, population, none)
     if slopes and solving is not None:
         counts = len(none), len(solving[2]), len(response_names(response, population))
-        rows = [jnp.zeros((count, PULLED), none.dtype) for count in counts]
-        _begun(_pulled, _pulled_on, mesh_of(PULLED), response, population, *rows)
+        rows = [jnp.zeros((count, sloped_together()), none.dtype) for count in counts]
+        _begun(_pulled, _pulled_on, response, population, *rows)
 
 
 def _begun(
     one: Compiled[R],
     shared: Compiled[R],
-    mesh: jax.sharding.Mesh | None,
     response: Response,
     population: Population,
     *rows: jax.Array,
 ) -> R | None:
-    if mesh is None:
-        return one.begin(response, population, *rows)
-    return shared.begin(response, population, *(on(mesh, each) for each in rows), mesh=mesh)
+    mesh = mesh_of(rows[0].shape[1])
+    rows = tuple(on(mesh, each) for each in rows)
+    return (
+        one.begin(response, population, *rows) if mesh is None else shared.begin(response, population, *rows, mesh=mesh)
+    )
 
 
-def chunks(count: int, size: int) -> list[np.ndarray]:
-    """Indices (size,) of the units of each call; the last ones are repeated to fill it."""
-    return [np.resize(np.arange(start, min(start + size, count)), size) for start in range(0, count, size)]
+def _solved_together() -> int:
+    """Units of a call that solves them, on their devices."""
+    return SOLVED.on(units_devices()[0].platform)
 
 
-def without_errors(population: Population) -> jax.Array:
-    """Errors (elements, `AT_ONCE`) of units without errors."""
-    return jnp.zeros((sum(prod(t.shape) for t in population.active.values()), AT_ONCE), jnp.result_type(float))
+def sloped_together() -> int:
+    """Units of a call for gradients, on their devices."""
+    return SLOPED.on(units_devices()[0].platform)
+
+
+def without_errors(population: Population, count: int) -> jax.Array:
+    """Errors (elements, count) of units without errors."""
+    return jnp.zeros((sum(prod(t.shape) for t in population.active.values()), count), jnp.result_type(float))
 
 
 def _unit(

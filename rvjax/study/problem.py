@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rvjax import identify, models
+from rvjax._jax.blocks import padded
 from rvjax.measured import GRID, KINDS, Conditions, Judged, Loop, Measured, Run, Tones, checked, judge
 from rvjax.outputs import Observation, torque_of
 from rvjax.records import Design, PyTree
@@ -269,7 +270,7 @@ def candidates(problem: Problem) -> dict[str, Candidate]:
     found = {}
     for first in range(0, len(distinct), size):
         several = distinct[first : first + size]
-        index = np.array(several + several[-1:] * (size - len(several)))
+        index = padded(np.array(several), size)
         own = {name: value[index] for name in PER_TORQUE if (value := getattr(wide, name)) is not None}
         part = model.replace(**own, idle=wide.idle, least=wide.least)
         for run, place in zip(chosen, places):

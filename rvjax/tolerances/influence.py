@@ -17,7 +17,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.blocks import AT_ONCE, PULLED
+from rvjax._jax.blocks import AT_ONCE, PULLED, calls
 from rvjax.population import Estimate, Population, deviate_of, one_decides, root_key, skewed, unknown_share
 from rvjax.records import PyTree
 from rvjax.response import BLOCK, Part, Response, elements, is_costly, numbers_of, parts, respond
@@ -110,7 +110,7 @@ def influences(
 
 def _errors(population: Population, z: np.ndarray) -> np.ndarray:
     """Errors (elements, n) of units with random numbers z (numbers, n), by the program for the gradients' units."""
-    lanes = np.resize(np.arange(z.shape[1]), (-(-z.shape[1] // PULLED), PULLED))
+    lanes = calls(z.shape[1], PULLED)
     found = [np.asarray(elements(population, jnp.asarray(z[:, some])), float) for some in lanes]
     return np.concatenate(found, axis=1)[:, : z.shape[1]]
 
@@ -129,8 +129,7 @@ class _Solver(NamedTuple):
             values, status, state = self.part.solution(self.population, z)
         else:
             found = []
-            for first in range(0, count, self.chunk):
-                lanes = np.resize(np.arange(first, min(first + self.chunk, count)), self.chunk)
+            for lanes in calls(count, self.chunk):
                 own, codes = respond(self.part.response, self.population, jnp.asarray(z[:, lanes]))
                 found.append((np.stack([np.asarray(own[name], float) for name in self.part.names]), np.asarray(codes)))
             values, status = (np.concatenate(rows, axis=-1)[..., :count] for rows in zip(*found))

@@ -11,6 +11,7 @@ import numpy as np
 
 from rvjax._ground import frames
 from rvjax._jax.arguments import checked
+from rvjax._jax.blocks import padded
 from rvjax.population import (
     SCRAMBLES,
     Correlation,
@@ -120,7 +121,7 @@ def sobol_indices(
     points, block = SobolPoints(2 * population.numbers, seed), min(chunk, samples)
     for start in range(0, samples, block):
         count = min(block, samples - start)
-        z = np.pad(points.z(start, count), ((0, 0), (0, block - count)))  # one program for chunks of one length
+        z = padded(points.z(start, count), block, axis=1, fill=0)  # one program for chunks of one length
         a, b = np.split(z, 2)
         mixtures = (mixed for _, mixed in population.exchanged(a, b))
         rows = [_evaluated(response, population, units, count) for units in itertools.chain([a, b], mixtures)]

@@ -10,6 +10,7 @@ import numpy as np
 
 from rvjax._jax.arguments import checked
 from rvjax._jax.batching import in_blocks
+from rvjax._jax.blocks import CORNERS
 from rvjax.population import Population
 from rvjax.records import PyTree
 from rvjax.response import Response, by_name, evaluate, per_response, response_names
@@ -20,7 +21,6 @@ _INSIDE = 62  # points within the limits, mid-point included; with a corner they
 _CLIMB = 24  # steps of all of them at once, only where slopes change sign
 _FIRST, _LONGER, _SHORTER = 0.5, 2.0, 0.25  # step of a climb, in half-widths, and its change after success and failure
 _NO_SLOPE = 1e-6  # part of the largest slope: rounding has a sign as well
-_BLOCK = 64  # points evaluated at once, padded, so that one program serves every question
 _ROUNDS = 20  # gradient signs taken again; every round must improve, so this is a limit seldom met
 
 
@@ -154,7 +154,7 @@ class _Search:
         def of_block(points: np.ndarray) -> tuple[jax.Array, jax.Array]:
             return _values_and_gradients(self.response, self.population, jnp.asarray(points), k, names=self.names)
 
-        values, gradients = in_blocks(of_block, _BLOCK, points)
+        values, gradients = in_blocks(of_block, CORNERS, points)
         self.failed += int(np.isnan(values).sum())
         return sign * values, np.nan_to_num(sign * gradients)
 
@@ -211,7 +211,7 @@ class _Search:
         if k not in self._spread:
             from scipy.stats import qmc  # slow to import
 
-            drawn = qmc.Sobol(len(self.in_disc), seed=0).random(_BLOCK)[: _INSIDE - 1]
+            drawn = qmc.Sobol(len(self.in_disc), seed=0).random(CORNERS)[: _INSIDE - 1]
             points = np.concatenate([np.zeros((1, drawn.shape[1])), self.project(2 * drawn - 1)])
             self._spread[k] = points, *self.look(points, k, 1.0)
         return self._spread[k]

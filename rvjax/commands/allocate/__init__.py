@@ -5,7 +5,12 @@ from rvjax.commands.allocate.answer import (
     Side as Side,
 )
 from rvjax.commands.allocate.figures import figures as figures
-from rvjax.commands.allocate.forecast import expected as expected, phases_of as phases_of, shown_values as shown_values
+from rvjax.commands.allocate.forecast import (
+    expected as expected,
+    phases_of as phases_of,
+    seconds_of_units as seconds_of_units,
+    shown_values as shown_values,
+)
 from rvjax.commands.allocate.kept import FILE as FILE, restored_from as restored_from
 from rvjax.commands.allocate.report import (
     headline as headline,

@@ -2,9 +2,9 @@
 
 from rvjax.commands.allocate import answer
 from rvjax.commands.allocate.answer import Answer
-from rvjax.commands.allocate.forecast import phases_of
+from rvjax.commands.allocate.forecast import phases_of, seconds_of_units
 from rvjax.commands.allocate.inputs import Inputs
-from rvjax.commands.speak import READING, WRITING
+from rvjax.commands.speak import READING, WRITING, tell, units_placed
 
 
 def phases(inputs: Inputs) -> dict[str, float]:
@@ -20,4 +20,6 @@ def compute(inputs: Inputs) -> Answer | None:
     """Compute the result and solve the unit without errors; None if the result is stored."""
     if inputs.kept is not None:
         return None
-    return answer.answer(inputs.study, progress=not inputs.quiet, memo=inputs.memo, measure=inputs.measure)
+    with units_placed(seconds_of_units(inputs.study)) as device:
+        tell(device)
+        return answer.answer(inputs.study, progress=not inputs.quiet, memo=inputs.memo, measure=inputs.measure)

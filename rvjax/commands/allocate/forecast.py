@@ -57,6 +57,12 @@ def shown_values(study: Study) -> int:
     return min(SHOWN_VALUES, study.certificate_samples)
 
 
+def seconds_of_units(study: Study) -> float | None:
+    """Seconds of two cores that the units of an allocation take, if they are costly; 0 for others, None if unknown."""
+    unit = unit_seconds(study) if study.costly else 0.0
+    return unit and unit * sum(solved_units(study).values())
+
+
 def expected(study: Study) -> str:
     """Time and memory of an allocation, from the measured time of a unit, in words."""
     unit = unit_seconds(study)

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from rvjax import tolerances
 from rvjax._ground import progress
 from rvjax._jax.blocks import CHUNK
-from rvjax.commands.forecast import forewarn
+from rvjax.commands.forecast import forewarn, unit_seconds
 from rvjax.commands.montecarlo import batch
 from rvjax.commands.montecarlo.inputs import Inputs
-from rvjax.commands.speak import READING
+from rvjax.commands.speak import READING, units_placed
 from rvjax.study import Study
 from rvjax.tolerances import Statistics
 
@@ -24,10 +24,12 @@ class Sampled:
     Attributes:
         study: as it was read before the run; the file may change meanwhile.
         statistics: of its responses.
+        device: that computed them, in words.
     """
 
     study: Study
     statistics: Statistics
+    device: str
 
 
 def phases(inputs: Inputs) -> dict[str, float]:
@@ -50,9 +52,11 @@ def compute(inputs: Inputs) -> Sampled | None:
     forewarn(wanted.study)
     progress.begin(COUNTED)
     if options.processes == 1:
-        found = batch.run(wanted)
+        unit, samples = unit_seconds(wanted.study), wanted.samples or wanted.study.certificate_samples
+        with units_placed(unit and unit * samples) as device:
+            found = batch.run(wanted)
     else:
-        text = wanted.study.text
+        text, device = wanted.study.text, f"the processor, {options.processes} processes"
         found = batch.run_in_processes(
             options.command, options.processes, text=text, table=inputs.table, chunk=wanted.chunk
         )
@@ -61,7 +65,7 @@ def compute(inputs: Inputs) -> Sampled | None:
         tolerances.save(dataclasses.replace(found, values=None), options.json, study=about)
     if wanted.keep:
         tolerances.save(found, options.save, study=about)
-    return Sampled(wanted.study, found)
+    return Sampled(wanted.study, found, device)
 
 
 def _batch(inputs: Inputs) -> batch.Batch:

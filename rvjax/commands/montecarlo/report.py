@@ -23,7 +23,8 @@ def report(inputs: Inputs, found: Sampled | None) -> Report:
         return Report("", ())
     made = report_on(found.statistics, found.study)
     seconds = time.perf_counter() - inputs.started
-    return dataclasses.replace(made, content=(*made.content, Note(f"{seconds:.1f} s, start and compilation included")))
+    last = f"{seconds:.1f} s, start and compilation included; units on {found.device}"
+    return dataclasses.replace(made, content=(*made.content, Note(last)))
 
 
 def report_on(found: Statistics, study: Study) -> Report:

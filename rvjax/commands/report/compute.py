@@ -3,14 +3,14 @@
 from dataclasses import dataclass
 
 from rvjax._ground import progress
-from rvjax.commands.allocate import Answer, answer, figures, phases_of
+from rvjax.commands.allocate import Answer, answer, figures, phases_of, seconds_of_units
 from rvjax.commands.budget import Budget, budget_if_any
 from rvjax.commands.report import surrogate as behind
 from rvjax.commands.report.bearings import bearing_section
 from rvjax.commands.report.inputs import Inputs
 from rvjax.commands.report.lives import begin_lives, lives_if_any
 from rvjax.commands.report.reducer import design_section
-from rvjax.commands.speak import READING
+from rvjax.commands.speak import READING, tell, units_placed
 from rvjax.population import Population
 from rvjax.render import Content, Figure, Report, Section
 from rvjax.response import begin_programs, is_costly
@@ -56,6 +56,12 @@ def compute(inputs: Inputs) -> Shown | None:
     """Compute or read the result; compute surrogate, budget and bearing lives. None if the page shows all that."""
     if inputs.shown:
         return None
+    with units_placed(seconds_of_units(inputs.study) if inputs.answer is None else 0.0) as device:
+        tell(device)
+        return _shown(inputs)
+
+
+def _shown(inputs: Inputs) -> Shown:
     found = inputs.answer or answer.answer(inputs.study, progress=not inputs.quiet)
     progress.begin(SLIDERS)
     response = found.study.response()

@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._jax.blocks import calls
 from rvjax.population import Population, Tolerance
 from rvjax.response import BLOCK, Part, elements, is_costly, respond
 
@@ -150,8 +151,8 @@ class Region:
             z = self.z if units is None else self.z[:, units]
             return dict(zip(self.part.names, self.part.of_elements(population, errors_of(population, z))[0]))
         count = self.z.shape[1]
-        lanes = np.resize(np.arange(count), (-(-count // BLOCK), BLOCK))
-        found = [respond(self.part.response, population, jnp.asarray(self.z[:, some]))[0] for some in lanes]
+        lanes = [jnp.asarray(self.z[:, some]) for some in calls(count, BLOCK)]
+        found = [respond(self.part.response, population, some)[0] for some in lanes]
         values = {n: np.concatenate([np.asarray(each[n], float) for each in found])[:count] for n in self.part.names}
         return {name: column[... if units is None else units] for name, column in values.items()}
 

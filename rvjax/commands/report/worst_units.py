@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rvjax._jax.blocks import PULLED
+from rvjax._jax.blocks import PULLED, padded
 from rvjax.commands.allocate import Answer
 from rvjax.outputs import Output
 from rvjax.population import Population, root_key
@@ -48,9 +48,9 @@ def worst_units(answer: Answer) -> list[WorstUnit]:
         found += [(int(index), name, "CONVERGED") for index in order[:EACH] if np.isfinite(margin[index])]
     if not found:
         return []
-    population, count = Population.of(side.tolerances), len(found)
+    population = Population.of(side.tolerances)
     indices = np.array([index for index, _, _ in found])
-    z = numbers_of(population, root_key(side.seed), np.resize(indices, -(-count // PULLED) * PULLED))
+    z = numbers_of(population, root_key(side.seed), padded(indices, PULLED))
     drawn = [population.constants | population.by_field(unit) for unit in np.asarray(elements(population, z)).T]
     return [
         WorstUnit(

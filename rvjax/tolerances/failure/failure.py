@@ -7,10 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.arguments import checked
+from rvjax._jax.blocks import SEARCHES, TESTED
 from rvjax.population import Correlation, Estimate, Population, clopper_pearson, deviate_of, rare, skewed, student
 from rvjax.records import PyTree
 from rvjax.response import Response, by_name, by_response, response_names
-from rvjax.tolerances.failure.form import BATCH, LANES, Found, LimitState, Units, design_points
+from rvjax.tolerances.failure.form import Found, LimitState, Units, design_points
 from rvjax.tolerances.failure.images import orbit
 from rvjax.tolerances.failure.importance_sampling import Mixture, apart
 from rvjax.tolerances.failure.subset import (
@@ -260,9 +261,9 @@ class _Search:
             found = together(around, found, random)
         if (not self.mixture.count and not found.units.shape[1]) or self.mixture.frequent:
             return found
-        drawn = self.mixture.sample(random, BATCH)
+        drawn = self.mixture.sample(random, TESTED)
         hit = self.differ(drawn)
-        share = float(self.mixture.weights(drawn[:, hit]).sum()) / BATCH
+        share = float(self.mixture.weights(drawn[:, hit]).sum()) / TESTED
         thin = hit.mean() < _HITS  # a part of the event smaller than a unit normal, which spreads may miss
         if thin or share > max(_REACHED, _MISSED * found.probability.value):
             levels = sequential(Levels(self._inside, self.differ), self.numbers, random)
@@ -280,19 +281,19 @@ class _Search:
         """
         for state in self.states:
             order = np.argsort(np.nan_to_num(np.abs(state.g(self.values)), nan=math.inf))
-            found = design_points(state, self.plain[:, order[:LANES]], differing)
+            found = design_points(state, self.plain[:, order[:SEARCHES]], differing)
             if self.around:  # where the event ends: it gives the index, but is no place to sample
                 self.nominal.add(found)
             else:
                 self._take(state, found)
         for _ in range(_ROUNDS):
-            drawn = self.mixture.sample(random, BATCH)
+            drawn = self.mixture.sample(random, TESTED)
             pool = np.concatenate([differing, drawn[:, self._elsewhere(drawn)]], axis=1)
             if not pool.shape[1]:
                 break
             weights = self.mixture.weights(pool)
             weights = weights if weights.any() else np.ones(len(weights))  # all beyond 38 standard deviations
-            count = min(LANES, pool.shape[1])
+            count = min(SEARCHES, pool.shape[1])
             starts = pool[:, random.choice(pool.shape[1], count, replace=False, p=weights / weights.sum())]
             values, new = self.units.values(starts), False
             for state in self.states:
@@ -321,8 +322,8 @@ class _Search:
     def draw(self, random: np.random.Generator, samples: int) -> tuple[Estimate, float, float]:
         """Share of units of the rare event, its effective samples and the mean weight of these units."""
         total, squares, cubes, hits, unit = 0.0, 0.0, 0.0, 0, 0.0
-        for start in range(0, samples, BATCH):
-            z = self.mixture.sample(random, min(BATCH, samples - start))
+        for start in range(0, samples, TESTED):
+            z = self.mixture.sample(random, min(TESTED, samples - start))
             seen = self.mixture.weights(z[:, self.differ(z)])
             if not unit and seen.any():
                 unit = math.ldexp(1.0, math.frexp(float(seen.max()))[1])  # their squares would be 0 beyond 26 sd

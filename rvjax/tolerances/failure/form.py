@@ -11,15 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
+from rvjax._jax.blocks import SEARCHES, TESTED, padded
 from rvjax.population import Population
 from rvjax.response import Response, evaluate, per_response, respond
 from rvjax.roots import bisect
 from rvjax.status import Status, succeeded
 
-LANES = 32
-"""Searches at once."""
-BATCH = 1024
-"""Units at once: one program for every question without gradients."""
 _GRADIENT_COST = 3  # evaluations that a value with its gradient counts for
 _STEPS = 40  # trials of a search, backtracking included
 _SHORTEST = 2.0**-8  # of a backtracked step; a kink lets no search come closer
@@ -43,14 +40,14 @@ class Units:
         """Values (n,) of units (numbers, n), nan where a unit has none; an infinite value is a value."""
         self.evaluations += z.shape[1]
         found = np.full(z.shape[1], np.nan)
-        for start in range(0, z.shape[1], BATCH):
-            part = z[:, start : start + BATCH]
-            padded = np.pad(part, ((0, 0), (0, BATCH - part.shape[1])))
-            values, status = respond(self.response, self.population, jnp.asarray(padded, jnp.result_type(float)))
+        for start in range(0, z.shape[1], TESTED):
+            part = z[:, start : start + TESTED]
+            given = jnp.asarray(padded(part, TESTED, axis=1, fill=0), jnp.result_type(float))
+            values, status = respond(self.response, self.population, given)
             numbers, ended = np.asarray([values[name] for name in sorted(values)], float), np.asarray(status)
             infinite = (ended == int(Status.NONFINITE)) & ~np.isnan(numbers).any(axis=0)  # such as a life without load
             valid = np.where(succeeded(ended) | infinite, np.asarray(values[self.name], float), np.nan)
-            found[start : start + BATCH] = valid[: part.shape[1]]
+            found[start : start + TESTED] = valid[: part.shape[1]]
         return found
 
     def slopes(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -105,7 +102,7 @@ class Found:
 
 
 def design_points(state: LimitState, starts: np.ndarray, failing: np.ndarray) -> Found:
-    """The limit's nearest points to 0, found from starts (numbers, n <= `LANES`), with points near the starts.
+    """The limit's nearest points to 0, found from starts (numbers, n <= `SEARCHES`), with points near the starts.
 
     Where a search ends at a kink, the edge of failure on its ray replaces it. Starts without a slope (plateaus, units
     without value), and failed starts whose search leads away from all failures (corners), lose the numbers without
@@ -165,8 +162,8 @@ def _search(state: LimitState, starts: np.ndarray) -> tuple[np.ndarray, np.ndarr
     falls (Zhang and Der Kiureghian 1995).
     """
     n = starts.shape[1]
-    z = np.concatenate([starts, np.repeat(starts[:, :1], LANES - n, axis=1)], axis=1)
-    (g, slope), step = state.slopes(z), np.ones(LANES)
+    z = padded(starts, SEARCHES, axis=1)
+    (g, slope), step = state.slopes(z), np.ones(SEARCHES)
     first = goal = _goal(z, g, slope)[0]
     for _ in range(_STEPS):
         goal, size = _goal(z, g, slope)

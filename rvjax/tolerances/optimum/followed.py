@@ -17,7 +17,7 @@ from collections.abc import Callable
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.blocks import PULLED
+from rvjax._jax.blocks import PULLED, padded
 from rvjax.population import Population, drawn, root_key
 from rvjax.response import BLOCK, Response, elements, is_costly, parts
 from rvjax.status import succeeded
@@ -213,7 +213,7 @@ class Followed:
         """{name: units with gradients (n,), and the change (n,) that these predict from one set to another}."""
         found = {}
         for name, (units, slopes) in self._slopes.items():
-            lanes = np.resize(units, -(-len(units) // PULLED) * PULLED).reshape(-1, PULLED)  # one program
+            lanes = padded(units, PULLED).reshape(-1, PULLED)  # one program
             here, there = (
                 np.concatenate([np.asarray(elements(p, jnp.asarray(self.z[:, row]))) for row in lanes], axis=1)
                 for p in (before, after)

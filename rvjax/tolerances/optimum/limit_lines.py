@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._jax.blocks import padded
 from rvjax.population import Population
 from rvjax.response import elements
 from rvjax.tolerances.optimum.lines import Crossing, Lines
@@ -47,10 +48,10 @@ class LimitLines:
 
         def measure(z: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             count = z.shape[1]
-            padded = np.resize(np.arange(count), max(count, _LINES))
-            both = self._units.errors_and_rates(x, population, z[:, padded])
+            units = padded(np.arange(count), max(count, _LINES))
+            both = self._units.errors_and_rates(x, population, z[:, units])
             errors, rates = (rows[:, :count] for rows in both)
-            lanes = (jnp.asarray(rows[:, padded], jnp.result_type(float)) for rows in (z, along))
+            lanes = (jnp.asarray(rows[:, units], jnp.result_type(float)) for rows in (z, along))
             moves = np.asarray(_moves(population, *lanes), float)[:, :count]
             if len(self._reads) == 1:
                 values, slopes = self._units.pulled(population, errors, {self._reads[0]: np.ones(count)})

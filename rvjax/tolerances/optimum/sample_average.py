@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
-from rvjax._jax.blocks import PULLED
+from rvjax._jax.blocks import PULLED, padded
 from rvjax.population import Population, Tolerance, drawn, root_key
 from rvjax.response import BLOCK, Response, elements_and_rates, gradients, respond, response_names
 from rvjax.status import succeeded
@@ -329,8 +329,8 @@ class Training:
         else:
             z, parts = np.concatenate([np.asarray(b) for b in self.blocks], axis=1), [self.names]
         given = dict(zip(self.fields, jnp.asarray(half_widths, z.dtype)))
-        padded = np.resize(pull.units, -(-len(pull.units) // PULLED) * PULLED)  # one program, however many units
-        both = (np.asarray(rows) for rows in elements_and_rates(self.population, given, z[:, padded]))
+        units = padded(pull.units, PULLED)  # one program, however many there are
+        both = (np.asarray(rows) for rows in elements_and_rates(self.population, given, z[:, units]))
         errors, rates = (rows[:, : len(pull.units)] for rows in both)
         required = np.array(list(self.requirements))[of[pull.units]]
         self.evaluated[0] += len(pull.units)
@@ -358,7 +358,7 @@ class Training:
         if len(self.fields) < MANY:
             total = self._by_field(of_units.sum(axis=1))
         else:
-            widely = np.asarray(elements_and_rates(self.population, given, z[:, : padded.size])[1])
+            widely = np.asarray(elements_and_rates(self.population, given, z[:, : units.size])[1])
             model = half_widths * self._by_field((slopes[:, used] @ pull.cotangents[used]) ** 2 * widely.var(axis=1))
             total = total_of_many(np.stack([self._by_field(row) for row in of_units.T]), model)
         return total / norm * half_widths if norm > 0 else np.zeros(len(self.fields))

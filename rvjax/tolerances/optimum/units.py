@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.blocks import PULLED
+from rvjax._jax.blocks import PULLED, calls, padded
 from rvjax.population import Population
 from rvjax.response import (
     BLOCK,
@@ -60,9 +60,8 @@ class Units:
             if self._costly:
                 values, status = part.solve(population, z)
             else:
-                padded = z[:, np.resize(np.arange(z.shape[1]), -(-z.shape[1] // BLOCK) * BLOCK)]
-                blocks = np.split(padded, padded.shape[1] // BLOCK, axis=1)
-                found = [respond(part.response, population, jnp.asarray(b, jnp.result_type(float))) for b in blocks]
+                blocks = [jnp.asarray(z[:, units], jnp.result_type(float)) for units in calls(z.shape[1], BLOCK)]
+                found = [respond(part.response, population, block) for block in blocks]
                 rows = [np.stack([np.asarray(values[name], float) for name in part.names]) for values, _ in found]
                 values = np.concatenate(rows, axis=1)[:, : z.shape[1]]
                 status = np.concatenate([np.asarray(flags) for _, flags in found])[: z.shape[1]]
@@ -164,8 +163,8 @@ class Units:
     ) -> list[np.ndarray]:
         """Derivatives as `slope`, of several parts of the units."""
         count = z.shape[1]
-        most = PULLED * max(len(several), -(-count // PULLED))
-        both = self.errors_and_rates(x, population, z[:, np.resize(np.arange(count), most)])
+        lanes = padded(np.arange(count), PULLED * max(len(several), -(-count // PULLED)))
+        both = self.errors_and_rates(x, population, z[:, lanes])
         errors, rates = (rows[:, :count] for rows in both)
         slopes = self._gradients(population, errors, pulled, units)
         return [self.to_vector(x, population, slopes[:, part], rates[:, part]) for part in several]
@@ -204,11 +203,10 @@ class Units:
 
     def slopes_to_z(self, population: Population, z: np.ndarray, pulled: dict[str, np.ndarray]) -> np.ndarray:
         """Gradients (numbers, n) of responses of units to their z."""
-        padded = np.resize(np.arange(z.shape[1]), -(-z.shape[1] // PULLED) * PULLED)
-        lanes = jnp.asarray(z[:, padded], jnp.result_type(float))
+        lanes = jnp.asarray(padded(z, PULLED, axis=1), jnp.result_type(float))
         errors = np.asarray(elements(population, lanes), float)[:, : z.shape[1]]
         slopes = self._gradients(population, errors, pulled)[: len(errors)]
-        return np.asarray(_to_z(population, lanes, jnp.asarray(slopes[:, padded])), float)[:, : z.shape[1]]
+        return np.asarray(_to_z(population, lanes, jnp.asarray(padded(slopes, PULLED, axis=1))), float)[:, : z.shape[1]]
 
 
 def _rows(population: Population, z: jax.Array) -> jax.Array:
