@@ -1,6 +1,6 @@
 """Response: a pure function of the errors of one unit, evaluated for many units on all devices."""
 
-from rvjax.response.devices import Evaluator as Evaluator, gathered as gathered, place as place
+from rvjax.response.devices import Evaluator as Evaluator
 from rvjax.response.gradients import (
     begin_gradients as begin_gradients,
     elements as elements,

@@ -1,7 +1,4 @@
-"""Chunks of units on all local devices: each draws and evaluates its own part, none waits for another.
-
-Several processes, or hosts, share a study chunk by chunk; JAX's distributed runtime joins what each has counted.
-"""
+"""Chunks of units on all local devices: each draws and evaluates its own part, none waits for another."""
 
 import functools
 from collections.abc import Callable
@@ -11,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._ground.files import Arrays, pack, unpack
 from rvjax.population import Population, SobolPoints, drawn, root_key
 from rvjax.records import PyTree, Record
 from rvjax.response.response import R, Response, Values, per_response, respond
@@ -121,20 +117,3 @@ def mesh_of(units: int) -> jax.sharding.Mesh | None:
 def on(mesh: jax.sharding.Mesh, rows: jax.Array) -> jax.Array:
     """Rows (numbers, units) shared out: a kept program takes them so."""
     return jax.device_put(rows, jax.sharding.NamedSharding(mesh, NUMBERS))
-
-
-def place() -> tuple[int, int]:
-    """Number of this process, and of all; (0, 1) unless `jax.distributed.initialize` was called."""
-    return jax.process_index(), jax.process_count()
-
-
-def gathered(state: Arrays) -> list[dict[str, np.ndarray]]:
-    """Return the states of all processes, in their order, in every process; waits until all have come here."""
-    from jax.experimental import multihost_utils
-
-    content = np.frombuffer(pack(state), np.uint8)
-    lengths = np.ravel(multihost_utils.process_allgather(np.array([content.size], np.int32)))
-    padded = np.zeros(int(lengths.max()), np.uint8)
-    padded[: content.size] = content
-    rows = np.asarray(multihost_utils.process_allgather(padded)).reshape(len(lengths), -1)
-    return [unpack(row[:length].tobytes()) for row, length in zip(rows, lengths)]
