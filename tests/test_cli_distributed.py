@@ -3,7 +3,6 @@
 Oracle: the same study in this process, to the last bit.
 """
 
-import os
 import signal
 import socket
 import subprocess
@@ -20,8 +19,10 @@ from rvjax.response import devices
 from rvjax.tolerances import load, monte_carlo
 from rvjax.tolerances.batch.chunks import Chunks
 from rvjax.tolerances.batch.processes import Folder, take
+from rvjax.tolerances.batch.run import Run
 
-COMMAND = "montecarlo small.toml --samples 9400 --seed 4 --chunk 1000 --checkpoint c --save a.npz --quiet".split()
+COMMAND = ["montecarlo", "small.toml", "--samples", "9400", "--seed", "4", "--chunk", "1000"]
+COMMAND += ["--checkpoint", "c", "--save", "a.npz", "--quiet"]
 
 
 def free_port():
@@ -74,17 +75,19 @@ def test_no_cluster_and_a_process_that_never_starts_are_errors_in_bounded_time(t
 
 @pytest.mark.parametrize("number", [0, 1, 2])
 def test_the_first_process_watches_all_and_all_watch_the_first(tmp_path, number):
-    silent = 0 if number else 2
-    with pytest.raises(ValueError, match=rf"^process {silent + 1} of 3 is missing: no sign of life for 0 s$"):
+    def waits(number):
         with Folder(tmp_path, number, 3, silence=0.1) as group:
-            if number == 0:
-                group.put("state-1", b"")  # has counted its units, and may go
             take(group, "never")
+
+    silent = 0 if number else 2
+    if number == 0:
+        (tmp_path / "state-1").touch()  # has counted its units, and may go
+    with pytest.raises(ValueError, match=rf"^process {silent + 1} of 3 is missing: no sign of life for 0 s$"):
+        waits(number)
+    if number == 0:  # the others hear of the third by the first
+        with pytest.raises(ValueError, match=r"^process 3 of 3 is missing"):
+            waits(1)
     assert (tmp_path / f"failed-{number}").read_text().startswith(f"process {silent + 1} of 3 is missing")
-    with pytest.raises(ValueError, match=rf"^process {silent + 1} of 3 is missing"):  # of the first one's, in all
-        with Folder(tmp_path, 1, 3, silence=0.1) as group:
-            (tmp_path / "failed-0").write_text(f"process {silent + 1} of 3 is missing")
-            take(group, "never")
 
 
 def test_shares_cover_the_rest_once_and_are_ranges():
@@ -101,21 +104,41 @@ def test_shares_cover_the_rest_once_and_are_ranges():
         done.plus((4, 6))
 
 
-@pytest.mark.parametrize("options", [{}, {"method": "sobol"}, {"keep": True}, {"samples": 3500}])
-def test_three_processes_give_the_bits_of_one_and_each_evaluates_its_share(tmp_path, monkeypatch, options):
-    """Threads stand for processes; only the file of the first is left."""
-    expected, started_at = run(**options), []
-    start = devices.Evaluator.start
-    monkeypatch.setattr(devices.Evaluator, "start", lambda self, first: started_at.append(first) or start(self, first))
+def three(folder, samples=9000, **options):
+    """Figures of a run as each of three processes, which threads stand for, returns them."""
 
     def part(number):
-        with Folder(tmp_path / "shared", number, 3) as group:
-            return run(checkpoint=tmp_path / "c", checkpoint_every=0, processes=group, **options)
+        with Folder(folder / "shared", number, 3) as group:
+            return run(samples, checkpoint=folder / "c", checkpoint_every=0, processes=group, **options)
 
-    (tmp_path / "shared").mkdir()
+    (folder / "shared").mkdir()
     with ThreadPoolExecutor(3) as threads:
-        found = list(threads.map(part, range(3)))
-    assert [bits(each) for each in found] == [bits(expected)] * 3
-    assert sorted(started_at) == list(range(0, options.get("samples", 9000), 1000))
+        return list(threads.map(part, range(3)))
+
+
+@pytest.mark.parametrize("options", [{}, {"method": "sobol"}, {"keep": True}, {"samples": 3500}])
+def test_three_processes_give_the_bits_of_one_and_each_evaluates_its_share(tmp_path, monkeypatch, options):
+    expected, begun, start = run(**options), [], devices.Evaluator.start
+    monkeypatch.setattr(devices.Evaluator, "start", lambda self, first: begun.append(first) or start(self, first))
+    assert [bits(each) for each in three(tmp_path, **options)] == [bits(expected)] * 3
+    assert sorted(begun) == list(range(0, options.get("samples", 9000), 1000))
     assert [file.name for file in tmp_path.iterdir()] == ["c"]
     assert bits(run(checkpoint=tmp_path / "c", **options)) == bits(expected)
+
+
+def test_what_three_processes_left_is_taken_in_once(tmp_path, monkeypatch):
+    def killed(self, counted, study, group):
+        group.put(f"counted-{group.number}", b"")
+        for number in range(3):
+            take(group, f"counted-{number}")
+        raise RuntimeError("killed")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Run, "_gathered", killed)
+        with pytest.raises(RuntimeError, match="killed"):
+            three(tmp_path)
+    part, expected = (tmp_path / "c.1-of-3").read_bytes(), bits(run(12_000))
+    assert bits(run(12_000, checkpoint=tmp_path / "c")) == expected
+    (tmp_path / "c.1-of-3").write_bytes(part)  # it was killed before it removed what it had taken in
+    assert bits(run(12_000, checkpoint=tmp_path / "c")) == expected
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["c", "shared"]

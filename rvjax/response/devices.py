@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.population import Population, SobolPoints, drawn, root_key
+from rvjax.population import TURN, Population, SobolPoints, drawn, key_of, root_key
 from rvjax.records import PyTree, Record
 from rvjax.response.response import R, Response, Values, per_response, respond
 
@@ -51,9 +51,17 @@ class Evaluator:
             if self._mesh is None:
                 return jnp.asarray(z)
             return jax.device_put(z, jax.sharding.NamedSharding(self._mesh, NUMBERS))
+        turn, first = divmod(first, TURN)
+        z = self._drawn(turn, first)
+        if (rest := TURN - first) < self._count:  # numbers of 32 bits begin again within the chunk
+            z = jnp.where(jnp.arange(self._count) < rest, z, self._drawn(turn + 1, first))
+        return z
+
+    def _drawn(self, turn: int, first: int) -> jax.Array:
+        key = key_of(self._key, turn)
         if self._mesh is None:
-            return drawn(self._population, self._key, jnp.uint32(first), count=self._count)
-        return _drawn_on(self._mesh, self._count, self._population, self._key, jnp.uint32(first))
+            return drawn(self._population, key, jnp.uint32(first), count=self._count)
+        return _drawn_on(self._mesh, self._count, self._population, key, jnp.uint32(first))
 
 
 @jax.jit

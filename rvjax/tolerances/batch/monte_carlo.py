@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from rvjax._jax.arguments import checked
-from rvjax.population import Correlation, Population, check_method, deviate_of
+from rvjax.population import SCRAMBLES, Correlation, Population, check_method, deviate_of
 from rvjax.records import PyTree
 from rvjax.response import Response, by_response, response_names, unwrapped
 from rvjax.tolerances.batch.processes import Processes
@@ -86,8 +86,8 @@ def monte_carlo(
     samples, chunk = _positive("samples", samples), _positive("chunk", chunk)
     if not checkpoint_every >= 0:
         raise ValueError(f"checkpoint_every = {checkpoint_every!r} s: must not be negative")
-    if samples > 2**32:
-        raise ValueError(f"samples = {samples}: units are numbered with 32 bits")
+    if samples > (most := 2**32 * SCRAMBLES if method == "sobol" else 2**53):
+        raise ValueError(f"samples = {samples}: must be at most {most} with method = {method!r}")
     for p in quantiles:
         if not 0 < p < 1:
             raise ValueError(f"quantiles: {p!r} must lie between 0 and 1")
