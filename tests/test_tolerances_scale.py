@@ -20,7 +20,9 @@ from scale_study import STACK, bits, first, response, run, same_to_roundoff, smo
 from scipy import special
 from scipy.stats import qmc
 
+from rvjax.population import Population
 from rvjax.population.sampling import SCRAMBLES, SobolPoints
+from rvjax.response import evaluator
 from rvjax.status import Status
 from rvjax.tolerances import Requirement, sample
 
@@ -108,6 +110,16 @@ def test_fewer_sobol_units_than_scrambles(samples):
     found = run(samples, respond=smooth, method="sobol", requirements=Requirement(upper=0.0))
     assert found.samples == samples and found.yield_.lower <= found.yield_.value <= found.yield_.upper
     assert math.isnan(found.mean.error) == (samples == 1)
+
+
+@pytest.mark.parametrize("first", [2**32 - 300, 3 * 2**32 - 1000, 10**10])
+def test_units_beyond_32_bits_are_others(first):
+    """In a chunk across the end of the 32 bits too; each is the one that `sample` gives."""
+    study = evaluator(smooth, Population.of(STACK), 3, "random", 1000)
+    drawn = study.errors(first)["a"]
+    for unit in (0, 299, 300, 999):
+        assert sample(STACK, first + unit, seed=3)["a"] == drawn[unit], unit
+    assert not np.isin(drawn[300:], study.errors((first + 300) % 2**32)["a"][:700]).any()
 
 
 # Devices and processes

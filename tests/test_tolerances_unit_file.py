@@ -18,6 +18,7 @@ from rvjax.response import devices
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, Requirement, Tolerance, UnitFile, monte_carlo, sample
 from rvjax.tolerances.batch import unit_file
+from rvjax.tolerances.batch.chunks import Chunks
 
 ERRORS = {"a": Tolerance(-2.0, 4.0), "b": Tolerance(0.0, 3.0, shape=(2, 2), distribution="uniform")}
 OPTIONS = dict(samples=250, seed=3, chunk=100)
@@ -126,12 +127,13 @@ def test_parts_of_several_processes_make_one_table(tmp_path, ending, processes):
     values = run(keep=True).values
     for k, part in enumerate(parts):
         with unit_file.writing(target, part, ("y", "z"), Population.of(ERRORS), {}) as write:
-            for number in range(k, 3, processes):
+            for number in Chunks.up_to(3).share(k, processes):
                 units = slice(100 * number, min(100 * number + 100, 250))
                 cut = {name: column[units] for name, column in values.items()}
                 status = np.where(np.isnan(cut["y"]), int(Status.SINGULAR), int(Status.CONVERGED))
                 write(units.start, cut, status, {})
-    unit_file.joined(parts, tmp_path / f"u{ending}", 100)
+    unit_file.joined(parts, tmp_path / f"u{ending}")
+    assert not any(part.exists() for part in parts)
     if ending == ".csv":
         assert (tmp_path / "u.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
     else:

@@ -16,11 +16,13 @@ from rvjax.population.estimates import (
 )
 from rvjax.population.measured import MeasuredColumn, MeasuredParts, measured
 from rvjax.population.population import (
+    TURN as TURN,
     Correlation,
     Given as Given,
     Population as Population,
     batch_correlation as batch_correlation,
     drawn as drawn,
+    key_of as key_of,
     root_key as root_key,
 )
 from rvjax.population.sample_statistics import (

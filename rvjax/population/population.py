@@ -233,3 +233,17 @@ def root_key(seed: int) -> jax.Array:
         raise ValueError(f"seed = {seed!r}: must be an integer") from None
     except OverflowError:
         raise ValueError(f"seed = {seed!r}: must be an integer of at most 64 bits, from -2**63 to 2**63 - 1") from None
+
+
+TURN = 2**32
+"""Units numbered with 32 bits under one key."""
+
+
+def key_of(key: jax.Array, turn: int) -> jax.Array:
+    """Key of the units from `turn` times 2^32 on.
+
+    Args:
+        key: of the study, by `root_key`.
+        turn: 0 or more.
+    """
+    return jax.random.fold_in(jax.random.fold_in(key, TURN - 1), turn) if turn else key

@@ -18,7 +18,7 @@ from scipy import special
 from rvjax._ground.axes import axis_sizes
 from rvjax._ground.choices import choose, unknown
 from rvjax._jax.arguments import checked
-from rvjax.population.population import Correlation, Population, root_key
+from rvjax.population.population import TURN, Correlation, Population, key_of, root_key
 from rvjax.population.tolerance import Tolerance
 from rvjax.records import Design, PyTree, Scalar, is_concrete
 
@@ -120,7 +120,7 @@ def sample(
 
     Args:
         tolerances: record or dict with a `Tolerance` or None in each field.
-        index: number of the unit, 0 or more.
+        index: number of the unit, 0 or more; below 2^32 where it is traced.
         seed: of the study.
         method: "random", or "sobol": sampled on the host, so that `index` must be a number.
         correlation: {(field or element, field or element): correlation of their z}, such as
@@ -134,7 +134,8 @@ def sample(
         raise ValueError(f"index = {index!r}: must be an integer of at least 0")
     population = Population.of(tolerances, correlation)
     if method == "random":
-        z = population.draw(root_key(seed), jnp.asarray(index, jnp.uint32)[None])[:, 0]
+        turn, index = divmod(int(index), TURN) if is_concrete(index) else (0, index)
+        z = population.draw(key_of(root_key(seed), turn), jnp.asarray(index, jnp.uint32)[None])[:, 0]
     elif is_concrete(index):
         z = jnp.asarray(SobolPoints(population.numbers, seed).z(int(index), 1)[:, 0], jnp.result_type(float))
     else:

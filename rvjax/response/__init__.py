@@ -2,8 +2,6 @@
 
 from rvjax.response.devices import (
     Evaluator as Evaluator,
-    gathered as gathered,
-    place as place,
     units_devices as units_devices,
     units_on as units_on,
 )

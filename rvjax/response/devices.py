@@ -1,7 +1,4 @@
-"""Chunks of units on all local devices: each draws and evaluates its own part, none waits for another.
-
-Several processes, or hosts, share a study chunk by chunk; JAX's distributed runtime joins what each has counted.
-"""
+"""Chunks of units on all local devices: each draws and evaluates its own part, none waits for another."""
 
 import contextlib
 import functools
@@ -12,9 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._ground.files import Arrays, pack, unpack
-from rvjax._jax.blocks import default_platform, padded
-from rvjax.population import Population, SobolPoints, drawn, root_key
+from rvjax._jax.blocks import default_platform
+from rvjax.population import TURN, Population, SobolPoints, drawn, key_of, root_key
 from rvjax.records import PyTree, Record
 from rvjax.response.response import R, Response, Values, per_response, respond
 
@@ -78,9 +74,17 @@ class Evaluator:
     def _z(self, first: int) -> jax.Array:
         if self._points is not None:
             return on(self._mesh, jnp.asarray(self._points.z(first, self._count), jnp.result_type(float)))
+        turn, first = divmod(first, TURN)
+        z = self._drawn(turn, first)
+        if (rest := TURN - first) < self._count:  # numbers of 32 bits begin again within the chunk
+            z = jnp.where(jnp.arange(self._count) < rest, z, self._drawn(turn + 1, first))
+        return z
+
+    def _drawn(self, turn: int, first: int) -> jax.Array:
+        key = key_of(self._key, turn)
         if self._mesh is None:
-            return drawn(self._population, self._key, jnp.uint32(first), count=self._count)
-        return _drawn_on(self._mesh, self._count, self._population, self._key, jnp.uint32(first))
+            return drawn(self._population, key, jnp.uint32(first), count=self._count)
+        return _drawn_on(self._mesh, self._count, self._population, key, jnp.uint32(first))
 
 
 @jax.jit
@@ -146,19 +150,3 @@ def on(mesh: jax.sharding.Mesh | None, rows: jax.Array) -> jax.Array:
     if mesh is not None:
         return jax.device_put(rows, jax.sharding.NamedSharding(mesh, NUMBERS))
     return jax.device_put(rows, _chosen[0]) if _chosen else rows
-
-
-def place() -> tuple[int, int]:
-    """Number of this process, and of all; (0, 1) unless `jax.distributed.initialize` was called."""
-    return jax.process_index(), jax.process_count()
-
-
-def gathered(state: Arrays) -> list[dict[str, np.ndarray]]:
-    """Return the states of all processes, in their order, in every process; waits until all have come here."""
-    from jax.experimental import multihost_utils
-
-    content = np.frombuffer(pack(state), np.uint8)
-    lengths = np.ravel(multihost_utils.process_allgather(np.array([content.size], np.int32)))
-    content = padded(content, int(lengths.max()), fill=0)
-    rows = np.asarray(multihost_utils.process_allgather(content)).reshape(len(lengths), -1)
-    return [unpack(row[:length].tobytes()) for row, length in zip(rows, lengths)]

@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import os
-import socket
 import subprocess
 import sys
 import tempfile
@@ -14,9 +13,11 @@ from pathlib import Path
 
 from rvjax import study, tolerances
 from rvjax._jax.blocks import CHUNK
-from rvjax.tolerances import Statistics, UnitFile, joined
+from rvjax.tolerances import Statistics, UnitFile
+from rvjax.tolerances.batch.processes import Folder, Processes, take
 
-_STUDY = "study.toml"
+_STUDY = "study"
+"""Message with the text of the study."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,6 +34,7 @@ class Batch:
         keep: keep the responses of every unit.
         save: table that every unit goes to, or None.
         progress: show a progress bar.
+        processes: that share the run; None: this one alone.
     """
 
     study: study.Study
@@ -44,10 +46,11 @@ class Batch:
     keep: bool = False
     save: UnitFile | None = None
     progress: bool = False
+    processes: Processes | None = None
 
 
 def run(batch: Batch) -> Statistics:
-    """The statistics, in this process or, where JAX's distributed runtime is on, with the others."""
+    """The statistics, in this process or with the others."""
     loaded = batch.study
     found = tolerances.monte_carlo(
         loaded.response(solve=False),
@@ -61,34 +64,37 @@ def run(batch: Batch) -> Statistics:
         keep=batch.keep,
         save=batch.save,
         progress=batch.progress,
+        processes=batch.processes,
     )
     if found.failed == found.samples:
         loaded.response()  # says so where the unit without errors fails too
     return found
 
 
-def study_of(source: str, worker: Sequence[str] | None = None) -> study.Study:
-    """The study of a command line, read once.
+def study_of(source: str, group: Processes | None = None) -> study.Study:
+    """The study of a command line, read once: by the first process, or by the command that started all.
 
     Args:
         source: file, or name of an embedded study.
-        worker: of one of several processes: the text that the first process read is next to its target.
+        group: processes that share the run.
     """
-    if worker is None or not (copy := Path(worker[-1]).with_name(_STUDY)).is_file():
-        return study.load(source)
+    text = None if group is None else group.get(_STUDY) if group.number == 0 else take(group, _STUDY)
+    if text is None:
+        found = study.load(source)
+        if group is not None:
+            group.put(_STUDY, found.text.encode())
+        return found
     path = Path(source)
     own = path.suffix == ".toml"
     return study.parse_study(
-        copy.read_text("utf-8"),
+        text.decode(),
         name=path.stem if own else source,
         folder=path.parent if own else Path(),
         solve=False,  # the first process has
     )
 
 
-def table_of(
-    path: str, loaded: study.Study, source: str, *, errors: bool, worker: Sequence[str] | None = None
-) -> UnitFile:
+def table_of(path: str, loaded: study.Study, source: str, *, errors: bool) -> UnitFile:
     """Table of units that a command line requires.
 
     Args:
@@ -96,40 +102,34 @@ def table_of(
         loaded: study, with the measurement units of the responses.
         source: of the study, as it was named.
         errors: write the sampled errors too.
-        worker: of one of several processes: its part is next to its target.
     """
     units = {name: loaded.output(name).unit for name in loaded.requirements}
-    own = path if worker is None else Path(worker[-1]).with_name(Path(path).name)
-    return UnitFile(own, errors, units, {"name": source, "toml": loaded.text})
+    return UnitFile(path, errors, units, {"name": source, "toml": loaded.text})
 
 
-def run_in_processes(
-    command: Sequence[str], processes: int, *, text: str | None = None, table: str | None = None, chunk: int = CHUNK
-) -> Statistics:
+def run_in_processes(command: Sequence[str], processes: int, *, text: str | None = None) -> Statistics:
     """Start `processes` of this command line, each with `--worker`, and take the result of the first.
 
     Args:
         command: arguments of `rvjax` that all processes get.
         processes: their number.
-        text: of the study, for all processes alike; None: each reads it.
-        table: of every unit, of which each process writes a part.
-        chunk: units at once.
+        text: of the study, for all processes alike; None: the first reads it.
 
     Raises:
         ValueError: a process ended without a result; the others are ended too.
     """
-    beside = None if table is None else Path(table).absolute().parent  # a disk with space for all units
-    with tempfile.TemporaryDirectory(prefix="rvjax-", dir=beside) as folder:
+    with tempfile.TemporaryDirectory(prefix="rvjax-") as folder:
         # The first one's progress and complaints are for everybody; its result comes as a file, since the
         # libraries below print to standard output.
         logs = [Path(folder) / f"{number}.txt" for number in range(processes)]
+        shared = Path(folder) / "shared"
+        shared.mkdir()
         if text is not None:
-            (Path(folder) / _STUDY).write_text(text, "utf-8")
-        workers, address = [], f"127.0.0.1:{_free_port()}"
+            (shared / _STUDY).write_text(text, "utf-8")
+        workers = []
         try:
             for number, log in enumerate(logs):
-                here = [address, str(number), str(processes), f"{folder}/result.npz"]
-                arguments = [sys.executable, "-m", "rvjax", *command, "--worker", *here]
+                arguments = [sys.executable, "-m", "rvjax", *command, "--worker", folder, str(number), str(processes)]
                 with log.open("w") as file:
                     shown = None if number == 0 else file
                     workers.append(subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=shown))
@@ -139,10 +139,6 @@ def run_in_processes(
                 with contextlib.suppress(OSError):
                     worker.kill()
                 worker.wait()
-        if table is not None:
-            whole = Path(folder) / Path(table).name
-            parts = [whole.with_name(f"{whole.name}.{number}-of-{processes}") for number in range(processes)]
-            joined(parts, Path(table), chunk)
         return tolerances.load(f"{folder}/result.npz")
 
 
@@ -157,28 +153,21 @@ def _wait(workers: Sequence[subprocess.Popen[bytes]], logs: Sequence[Path]) -> N
             raise ValueError(f"process {number + 1} of {len(workers)} ended with {code} {said[-1] if said else ''}")
 
 
-def work(inputs: Callable[[], Batch], address: str, number: int, processes: int, target: str) -> None:
-    """One of several processes; the first writes the result.
+def work(inputs: Callable[[Processes], Batch], folder: str, number: int, processes: int) -> None:
+    """One of several processes of this computer; the first writes the result.
 
     Args:
-        inputs: makes what to run, which may compute and so comes after the processes have found each other.
-        address: of the first process.
+        inputs: makes what to run.
+        folder: of the command that started them.
         number: of this process.
         processes: their number.
-        target: file for the result.
     """
-    import jax
-
     threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
-    jax.distributed.initialize(address, num_processes=processes, process_id=number)
-    try:
-        batch = inputs()
-        found = run(dataclasses.replace(batch, progress=batch.progress and number == 0))
+    with Folder(Path(folder) / "shared", number, processes) as group:
+        batch = inputs(group)
+        found = run(dataclasses.replace(batch, processes=group, progress=batch.progress and number == 0))
         if number == 0:
-            tolerances.save(found, target)
-    except (ValueError, OSError) as error:
-        print(f"rvjax: error: {' '.join(str(error).split())}", file=sys.stderr, flush=True)
-        os._exit(2)  # an orderly exit would wait for the others, who wait for this one
+            tolerances.save(found, f"{folder}/result.npz")
 
 
 def _end_with(parent: int) -> None:
@@ -186,9 +175,3 @@ def _end_with(parent: int) -> None:
     while os.getppid() == parent:
         time.sleep(0.2)
     os._exit(1)
-
-
-def _free_port() -> int:
-    with socket.socket() as server:
-        server.bind(("127.0.0.1", 0))
-        return server.getsockname()[1]

@@ -1,5 +1,6 @@
 """Statistics of a sample, by one process or several."""
 
+import contextlib
 import dataclasses
 from dataclasses import dataclass
 
@@ -12,6 +13,7 @@ from rvjax.commands.montecarlo.inputs import Inputs
 from rvjax.commands.speak import READING, units_placed
 from rvjax.study import Study
 from rvjax.tolerances import Statistics
+from rvjax.tolerances.batch.processes import Processes
 
 COUNTED = "drawing units"
 """Phase whose part done is known."""
@@ -45,21 +47,24 @@ def compute(inputs: Inputs) -> Sampled | None:
     """The statistics, after they are written to the files that options name; None in one of several processes."""
     options = inputs.options
     if options.worker:
-        address, number, processes, target = options.worker
-        batch.work(lambda: _batch(inputs), address, int(number), int(processes), target)
+        folder, number, processes = options.worker
+        batch.work(lambda group: _batch(inputs, group), folder, int(number), int(processes))
         return None
-    wanted = _batch(inputs)
-    forewarn(wanted.study)
-    progress.begin(COUNTED)
-    if options.processes == 1:
-        unit, samples = unit_seconds(wanted.study), wanted.samples or wanted.study.certificate_samples
-        with units_placed(unit and unit * samples) as device:
-            found = batch.run(wanted)
-    else:
-        text, device = wanted.study.text, f"the processor, {options.processes} processes"
-        found = batch.run_in_processes(
-            options.command, options.processes, text=text, table=inputs.table, chunk=wanted.chunk
-        )
+    with inputs.group or contextlib.nullcontext() as group:
+        wanted = _batch(inputs, group)
+        first = group is None or group.number == 0
+        if first:
+            forewarn(wanted.study)
+        progress.begin(COUNTED)
+        if group is None and options.processes > 1:
+            device = f"the processor, {options.processes} processes"
+            found = batch.run_in_processes(options.command, options.processes, text=wanted.study.text)
+        else:
+            unit, samples = unit_seconds(wanted.study), wanted.samples or wanted.study.certificate_samples
+            with units_placed(unit and unit * samples) as device:
+                found = batch.run(wanted)
+    if not first:
+        return None
     about = found.study | {"name": options.study, "toml": wanted.study.text}
     if options.json is not None:
         tolerances.save(dataclasses.replace(found, values=None), options.json, study=about)
@@ -68,12 +73,10 @@ def compute(inputs: Inputs) -> Sampled | None:
     return Sampled(wanted.study, found, device)
 
 
-def _batch(inputs: Inputs) -> batch.Batch:
+def _batch(inputs: Inputs, group: Processes | None = None) -> batch.Batch:
     options = inputs.options
-    loaded = batch.study_of(options.study, options.worker)
-    save = inputs.table and batch.table_of(
-        inputs.table, loaded, options.study, errors=options.save_errors, worker=options.worker
-    )
+    loaded = batch.study_of(options.study, group)
+    save = inputs.table and batch.table_of(inputs.table, loaded, options.study, errors=options.save_errors)
     return batch.Batch(
         study=loaded,
         samples=options.samples,
@@ -83,5 +86,6 @@ def _batch(inputs: Inputs) -> batch.Batch:
         checkpoint=options.checkpoint,
         keep=options.save is not None and inputs.table is None,
         save=save or None,
-        progress=not options.quiet,
+        progress=not options.quiet and (group is None or group.number == 0),
+        processes=group,
     )

@@ -4,8 +4,10 @@ import argparse
 import time
 from dataclasses import dataclass
 
+from rvjax.commands.montecarlo.cluster import group_of
 from rvjax.commands.speak import check_files, share_cores
 from rvjax.tolerances import ENDINGS, UnitFile
+from rvjax.tolerances.batch.processes import Folder
 
 
 @dataclass(frozen=True)
@@ -14,19 +16,21 @@ class Inputs:
 
     Attributes:
         options: of the command line, checked.
+        group: processes of a cluster that share the run, or None.
         table: file that every unit goes to as a row, or None.
         started: clock at the start, s.
-        quiet: show no phases; each of several processes has a line of its own.
+        quiet: show no phases: the first of several processes has a line of its own, the others are silent.
     """
 
     options: argparse.Namespace
+    group: Folder | None
     table: str | None
     started: float
     quiet: bool
 
 
 def inputs(options: argparse.Namespace) -> Inputs:
-    """The inputs that the options name; each core becomes a device.
+    """The inputs that the options name, once all processes have met; each core becomes a device.
 
     Raises:
         ValueError: one line that names the option.
@@ -37,5 +41,7 @@ def inputs(options: argparse.Namespace) -> Inputs:
         raise ValueError(f"--save-errors: needs --save FILE with {' or '.join(ENDINGS)}, not {options.save}")
     if table is not None:
         UnitFile(table)  # raises an error for a missing extra before any work
+    group = group_of(options)
     share_cores(int(options.worker[2]) if options.worker else 1)
-    return Inputs(options, table, time.perf_counter(), options.quiet or options.processes > 1)
+    quiet = options.quiet or (options.processes > 1 if group is None else group.number > 0)
+    return Inputs(options, group, table, time.perf_counter(), quiet)

@@ -7,11 +7,13 @@ import numpy as np
 from rvjax._ground.files import Arrays
 from rvjax.population import CentralMoments, Pairwise
 from rvjax.status import SUCCESS, Status
+from rvjax.tolerances.batch.chunks import Chunks
 from rvjax.tolerances.batch.quantiles import ExactOrder, Order
 from rvjax.tolerances.requirements.kinds import Limits
 
 _GOOD = [int(status) for status in SUCCESS]
-_GROWING = ("failures", "values", "pilot", "waiting", "waiting_streams")  # arrays with as many rows as were needed
+_GROWING = ("failures", "values", "pilot", "chunks", "waiting", "waiting_streams", "waiting_chunks")
+"""Arrays with as many rows as were needed."""
 
 
 class Accumulator:
@@ -22,7 +24,7 @@ class Accumulator:
     """
 
     def __init__(self, names: tuple[str, ...], requirements: dict[str, Limits], streams: int, kept: int) -> None:
-        self.names, self.streams = names, streams
+        self.names, self.streams, self.chunks = names, streams, Chunks()
         self.requirements = {name: item for name, item in requirements.items() if item.of_units}
         self.moments = {name: [Pairwise() for _ in range(streams)] for name in names}
         self._orders = {} if kept else {name: Order(streams) for name in names}
@@ -35,9 +37,30 @@ class Accumulator:
         self.examples: dict[int, int] = {}
 
     @property
+    def first(self) -> dict[str, np.ndarray]:
+        """Values that placed the bins, by name of the responses whose bins are known."""
+        return {name: order.first for name, order in self._orders.items() if order.settled}
+
+    @property
     def settled(self) -> bool:
-        """True once units that other processes count are no longer needed here."""
-        return all(order.settled for order in self._orders.values())
+        """True once the bins of all responses are known."""
+        return len(self.first) == len(self._orders)
+
+    @property
+    def waiting(self) -> int:
+        """Values that wait for bins."""
+        return sum(order.waiting for order in self._orders.values())
+
+    def settle(self, first: Arrays) -> None:
+        """Place the bins of the responses as another process has."""
+        for name, values in first.items():
+            self._orders[name].settle(values)
+
+    @property
+    def complete(self) -> bool:
+        """True if the responses of all counted units are kept."""
+        successes = int(self.seen.sum()) - sum(self.failures.values())
+        return all(np.count_nonzero(~np.isnan(kept)) == successes for kept in self.values.values())
 
     def judged(self, values: Arrays, status: np.ndarray) -> np.ndarray:
         """Status of units, NONFINITE where a response is infinite, unless its only limit is on the other side.
@@ -54,17 +77,11 @@ class Accumulator:
                 status = np.where(wrong & np.isin(status, _GOOD), int(Status.NONFINITE), status)
         return status
 
-    def add(self, number: int, start: int, values: Arrays, status: np.ndarray, *, own: bool = True) -> None:
-        """Add chunk `number`, from unit `start`: values by name (n,) and status (n,), `judged`.
-
-        Another process counts a chunk that is not `own`.
-        """
+    def add(self, number: int, start: int, values: Arrays, status: np.ndarray) -> None:
+        """Add chunk `number`, from unit `start`: values by name (n,) and status (n,), `judged`."""
+        self.chunks = self.chunks.plus((number, number + 1))
         good = np.isin(status, _GOOD)
         complete = bool(good.all())
-        if not own:
-            for name, order in self._orders.items():
-                order.add(_valid(values[name], good, complete), own=False)
-            return
         if not complete:
             for code in np.unique(status[~good]):
                 units = status == code
@@ -82,7 +99,7 @@ class Accumulator:
             for stream, tree in enumerate(self.moments[name]):
                 tree.add(number, CentralMoments.of(finite if its_streams is None else finite[its_streams == stream]))
             if not self.values:
-                self._orders[name].add(valid, good_streams)
+                self._orders[name].add(valid, good_streams, number=number)
             if name in self.requirements:
                 passed = self.requirements[name].margin(valid) <= 0
                 self.passed[name] += self._count(passed, good_streams)
@@ -121,7 +138,8 @@ class Accumulator:
     def state(self, stop: int) -> dict[str, np.ndarray]:
         """All counts as arrays; `stop` is the number of the unit after the last one."""
         failures = [[code, count, self.examples[code]] for code, count in self.failures.items()]
-        state = {"seen": self.seen, "joint": self.joint, "failures": np.array(failures, np.int64).reshape(-1, 3)}
+        state = {"seen": self.seen, "joint": self.joint, "chunks": self.chunks.array()}
+        state["failures"] = np.array(failures, np.int64).reshape(-1, 3)
         for number, name in enumerate(self.names):
             state |= {f"{number}/moments/{s}": tree.state() for s, tree in enumerate(self.moments[name])}
             state[f"{number}/infinite"] = self.infinite[name]
@@ -133,10 +151,14 @@ class Accumulator:
                 state |= {f"{number}/order/{key}": array for key, array in self._orders[name].state().items()}
         return state
 
-    def check(self, state: Arrays, units: int) -> None:
-        """Raise a ValueError unless `state` has the arrays of this study and counts so many units.
+    def check(self, state: Arrays, chunk: int) -> None:
+        """Raise a ValueError unless `state` has the arrays of this study and counts the units of its chunks.
 
         The digest of the file vouches for the numbers.
+
+        Args:
+            state: of an accumulator.
+            chunk: units of a chunk.
         """
         mine = self.state(0)
         if state.keys() != mine.keys():
@@ -149,11 +171,13 @@ class Accumulator:
                 or array.ndim != like.ndim
             ):
                 raise ValueError(f"{key}: {array.dtype} of shape {array.shape}")
+        units = Chunks.of(state["chunks"]).count * chunk
         if (seen := int(state["seen"].sum())) != units:
             raise ValueError(f"counts of {seen} units, not of {units}")
 
     def merge(self, state: Arrays) -> None:
         """Add the `state` of other units of the same study."""
+        self.chunks = self.chunks.plus(*state["chunks"].tolist())
         self.seen += state["seen"]
         self.joint += state["joint"]
         for code, count, example in state["failures"].tolist():
@@ -164,14 +188,18 @@ class Accumulator:
             self.infinite[name] += state[f"{number}/infinite"]
             if name in self.passed:
                 self.passed[name] += state[f"{number}/passed"]
-            if self.values:
-                kept = state.get(f"{number}/values", np.empty(0))  # none yet: they are computed again
-                mine = self.values[name][: kept.size]
-                mine[:] = np.where(np.isnan(mine), kept, mine)
-                continue
-            prefix = f"{number}/order/"
-            parts = {key.removeprefix(prefix): array for key, array in state.items() if key.startswith(prefix)}
-            self._orders[name].merge(parts)
+            if not self.values:
+                prefix = f"{number}/order/"
+                parts = {key.removeprefix(prefix): array for key, array in state.items() if key.startswith(prefix)}
+                self._orders[name].merge(parts)
+        self.fill(state)
+
+    def fill(self, state: Arrays) -> None:
+        """Take the kept responses of a `state`, if they are kept here, and count nothing."""
+        for number, name in enumerate(self.values):
+            kept = state.get(f"{number}/values", np.empty(0))  # none yet: they are computed again
+            mine = self.values[name][: kept.size]
+            mine[:] = np.where(np.isnan(mine), kept, mine)
 
 
 def _valid(values: np.ndarray, good: np.ndarray, complete: bool) -> np.ndarray:

@@ -3,10 +3,9 @@
 import glob
 import hashlib
 import json
-import operator
 import time
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +15,12 @@ import numpy as np
 
 from rvjax._ground.files import DAMAGE, PARTIAL, Arrays, digest, pack, unpack, write_atomically
 from rvjax.population import Population
-from rvjax.records import PyTree, Record
+from rvjax.records import Record
 from rvjax.response import Response, respond
 from rvjax.tolerances.requirements.kinds import Limits
 
 _SHARE = 10  # times as long computing as writing
-_FORMAT = 3
+_FORMAT = 4
 LARGEST = 2**26
 """Bytes of a state for each response, at most: 16 histograms and what waits for one are 16 MiB."""
 
@@ -54,7 +53,7 @@ def response_hash(response: Response, population: Population) -> str:
 
 
 class Checkpoint:
-    """The file of one study (and process): read once, then written now and again."""
+    """A file of one study: read once, then written now and again."""
 
     def __init__(self, path: str | Path, fingerprint: Mapping[str, str], *, every: float = 1.0) -> None:
         """Name the file.
@@ -67,8 +66,8 @@ class Checkpoint:
         self._path, self._fingerprint, self._every = Path(path), dict(fingerprint), every
         self._next, self._warned = 0.0, False
 
-    def load(self, largest: int) -> tuple[int, dict[str, np.ndarray]]:
-        """Number of the next chunk and the state before it, which is empty at the beginning.
+    def load(self, largest: int) -> dict[str, np.ndarray]:
+        """Return the state, which is empty at the beginning.
 
         Raises a ValueError where the file is damaged, larger than `largest` bytes or of another study, an OSError where
         it is out of reach.
@@ -80,39 +79,33 @@ class Checkpoint:
             about = json.loads(arrays.pop("about").tobytes())
             if about["format"] != _FORMAT:
                 raise ValueError(f"format {about['format']!r}, this version reads {_FORMAT}")
-            written, chunk = dict(about["fingerprint"]), operator.index(about["next"])
-            if chunk < 0 or about["digest"] != digest(arrays):
+            written = dict(about["fingerprint"])
+            if about["digest"] != digest(arrays):
                 raise ValueError("its contents are not those that were written")
         except FileNotFoundError:
-            self._write(0, {})  # a place that cannot be written raises an error before anything is computed
-            return 0, {}
+            self._write({})  # a place that cannot be written raises an error before anything is computed
+            return {}
         except DAMAGE as error:
             raise self.damaged(error) from None
-        here = self._fingerprint
-        different = [
-            f"{key} is {written.get(key, 'absent')} in the file and {here.get(key, 'absent')} here"
-            for key in sorted(written.keys() | here.keys())
-            if written.get(key) != here.get(key)
-        ]
-        if different:
+        if different := differences(written, self._fingerprint, "in the file"):
             raise ValueError(
-                f"checkpoint = {str(self._path)!r}: belongs to another study: {'; '.join(different)}; "
+                f"checkpoint = {str(self._path)!r}: belongs to another study: {different}; "
                 "name another file, or delete it to start again"
             )
-        return chunk, arrays
+        return arrays
 
     def damaged(self, error: Exception) -> ValueError:
         """Return the error of a file that cannot be gone on from."""
         where = f"checkpoint = {str(self._path)!r}"
         return ValueError(f"{where}: damaged, or no checkpoint ({error}); delete it to start again")
 
-    def save(self, chunk: int, state: PyTree, *, now: bool = False) -> None:
-        """Write what `state()` gives before chunk number `chunk`, if it is time or `now`; a failure only warns."""
+    def save(self, state: Callable[[], Arrays], *, now: bool = False) -> None:
+        """Write what `state()` gives, if it is time or `now`; a failure only warns."""
         start = time.monotonic()
         if start < self._next and not now:
             return
         try:
-            self._write(chunk, state())
+            self._write(state())
         except OSError as error:
             if not self._warned:
                 message = f"checkpoint = {str(self._path)!r}: cannot be written ({error}); the study continues"
@@ -123,25 +116,34 @@ class Checkpoint:
         end = time.monotonic()
         self._next = end + (max(self._every, _SHARE * (end - start)) if self._every else 0.0)
 
-    def _write(self, chunk: int, arrays: Arrays) -> None:
-        about = {"format": _FORMAT, "fingerprint": self._fingerprint, "next": chunk, "digest": digest(arrays)}
+    def _write(self, arrays: Arrays) -> None:
+        about = {"format": _FORMAT, "fingerprint": self._fingerprint, "digest": digest(arrays)}
         write_atomically(self._path, pack({**arrays, "about": np.frombuffer(json.dumps(about).encode(), np.uint8)}))
 
 
-def of_process(path: str | Path, process: int, processes: int) -> Path:
-    """Return the checkpoint of one process; raise an error for those of another number of processes."""
+def differences(written: Mapping[str, str], here: Mapping[str, str], where: str) -> str:
+    """In what two studies differ, as text; empty if they are one.
+
+    Args:
+        written: inputs of the one.
+        here: inputs of this one.
+        where: the one is, such as "in the file".
+    """
+    return "; ".join(
+        f"{key} is {written.get(key, 'absent')} {where} and {here.get(key, 'absent')} here"
+        for key in sorted(written.keys() | here.keys())
+        if written.get(key) != here.get(key)
+    )
+
+
+def parts_of(path: str | Path) -> list[Path]:
+    """Checkpoints that further processes of an earlier run, with any number of them, left next to that of the first."""
     whole = Path(path)
-    all_of = [of_number(whole, number, processes) for number in range(processes)]
-    all_of = [whole] if processes == 1 else all_of
-    for found in (whole, *whole.parent.glob(f"{glob.escape(whole.name)}.*-of-*")):
-        if found.suffix != PARTIAL and found not in all_of and found.is_file():
-            raise ValueError(
-                f"checkpoint = {str(path)!r}: {found.name} is of another number of processes than {processes}; "
-                "name another file, or delete it to start again"
-            )
-    return all_of[process]
+    found = whole.parent.glob(f"{glob.escape(whole.name)}.*-of-*")
+    return sorted(part for part in found if part.suffix != PARTIAL and part.is_file())
 
 
-def of_number(whole: Path, process: int, processes: int) -> Path:
-    """Return the file of one of several processes."""
-    return whole.with_name(f"{whole.name}.{process}-of-{processes}")
+def of_number(whole: str | Path, process: int, processes: int) -> Path:
+    """Return the file of one of several processes; that of the first is the whole."""
+    whole = Path(whole)
+    return whole.with_name(f"{whole.name}.{process}-of-{processes}") if process else whole

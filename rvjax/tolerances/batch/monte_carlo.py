@@ -3,9 +3,10 @@
 from pathlib import Path
 
 from rvjax._jax.arguments import checked
-from rvjax.population import Correlation, Population, check_method, deviate_of
+from rvjax.population import SCRAMBLES, Correlation, Population, check_method, deviate_of
 from rvjax.records import PyTree
 from rvjax.response import Response, by_response, response_names, unwrapped
+from rvjax.tolerances.batch.processes import Processes
 from rvjax.tolerances.batch.run import QUANTILES, Run, check_memory
 from rvjax.tolerances.batch.statistics import Statistics
 from rvjax.tolerances.batch.unit_file import UnitFile
@@ -32,6 +33,7 @@ def monte_carlo(
     keep: bool = False,
     save: str | Path | UnitFile | None = None,
     progress: bool = False,
+    processes: Processes | None = None,
 ) -> Statistics:
     """Statistics of a response over random units, chunk by chunk.
 
@@ -41,7 +43,7 @@ def monte_carlo(
     for any `samples`.
 
     All local devices share every chunk. Where `jax.distributed.initialize` was called, every process
-    must call this function alike: each takes every n-th chunk, and all return the same result.
+    must call this function alike: each evaluates its share of the chunks, and all return the same result.
 
     Method "sobol" takes unit i as point i // 16 of scramble i mod 16 of Sobol points. The error of the mean is then
     smaller for the same number of units, that of extreme quantiles is not; all standard errors and intervals come from
@@ -60,14 +62,15 @@ def monte_carlo(
         correlation: {(field or element, field or element): correlation of their z}.
         confidence: of every interval.
         checkpoint: file to which the state goes now and again, and from which the same study goes on after an
-            interruption, to identical bits; a larger `samples` continues a finished one. Several processes write one
-            file each, with the number of the process behind the name.
+            interruption, to identical bits, also with another number of processes; a larger `samples` continues a
+            finished one. Several processes need a folder that they share.
         checkpoint_every: least time between two states of the checkpoint, s; 0 writes one after each chunk.
         keep: keep the response of every unit (host memory, and the checkpoint, grow with `samples`).
         save: table of every unit, .csv or .parquet, or a `UnitFile` with the choice of columns; memory does not grow
             with `samples`. Units that a checkpoint has counted already are computed again, to the same bits. Several
-            processes write one file each, with the number of the process behind the name.
+            processes need a folder that they share.
         progress: show a progress bar.
+        processes: that share the run; None: those of JAX's distributed runtime.
 
     Returns:
         `Statistics`.
@@ -83,8 +86,8 @@ def monte_carlo(
     samples, chunk = _positive("samples", samples), _positive("chunk", chunk)
     if not checkpoint_every >= 0:
         raise ValueError(f"checkpoint_every = {checkpoint_every!r} s: must not be negative")
-    if samples > 2**32:
-        raise ValueError(f"samples = {samples}: units are numbered with 32 bits")
+    if samples > (most := 2**32 * SCRAMBLES if method == "sobol" else 2**53):
+        raise ValueError(f"samples = {samples}: must be at most {most} with method = {method!r}")
     for p in quantiles:
         if not 0 < p < 1:
             raise ValueError(f"quantiles: {p!r} must lie between 0 and 1")
@@ -96,7 +99,7 @@ def monte_carlo(
     table = UnitFile(save) if isinstance(save, (str, Path)) else save
     run = Run(
         response, population, names, required, samples, seed, chunk, method, tuple(quantiles), confidence, checkpoint,
-        checkpoint_every, keep, table, progress,
+        checkpoint_every, keep, table, progress, processes=processes,
     )  # fmt: skip
     return unwrapped(run.statistics())
 

@@ -8,6 +8,7 @@ import numpy as np
 from scipy import special
 
 from rvjax.population import Estimate, deviate_of, share_error, student
+from rvjax.tolerances.batch.chunks import Chunks
 
 PILOT = 4096
 COARSE = 16  # bins that are one where the scrambles are counted apart
@@ -102,14 +103,16 @@ class Grid:
 class Order:
     """Order statistics: exact up to `PILOT` values, then from counts in bins.
 
-    The bins come from the first `PILOT` values in the order of the units, independent of chunks and processes. Infinite
-    values are counted apart, at the ends; `minimum` and `maximum` are those of the others.
+    The bins come from the first `PILOT` values in the order of the units, independent of chunks and processes. Chunks
+    come in any order; their values wait until the bins are known. Infinite values are counted apart, at the ends;
+    `minimum` and `maximum` are those of the others.
     """
 
     def __init__(self, streams: int = 1) -> None:
         self._pilot = np.empty(0)
         self._grid: Grid | None = None
-        self._waiting, self._waiting_streams = np.empty(0), np.empty(0, np.int64)
+        self._waiting: dict[int, tuple[np.ndarray, np.ndarray]] = {}  # values and streams of the chunks with any
+        self._chunks = Chunks()
         self._counts = np.zeros(BINS + 2, np.int64)
         # Counts of every stream: -inf, in bins of `COARSE`, inf.
         self._coarse = np.zeros((streams, BINS // COARSE + 2), np.int64)
@@ -122,35 +125,67 @@ class Order:
         return self._pilot.size == PILOT
 
     @property
+    def first(self) -> np.ndarray:
+        """The values that placed the bins (`PILOT`,); empty before."""
+        return self._pilot
+
+    @property
+    def waiting(self) -> int:
+        """Number of values that wait for the bins."""
+        return sum(values.size for values, _ in self._waiting.values())
+
+    @property
     def _bins(self) -> Grid:
         if self._grid is None:
             self._grid = Grid(self._pilot)
         return self._grid
 
-    def add(self, values: np.ndarray, streams: np.ndarray | None = None, *, own: bool = True) -> None:
-        """Take in one block of values in the order of the units, with their streams where there are several.
+    def add(self, values: np.ndarray, streams: np.ndarray | None = None, *, number: int | None = None) -> None:
+        """Take in the values of one chunk.
 
-        Values that are not `own` are counted by another process: they only help to place the bins.
+        Args:
+            values: in the order of the units (n,).
+            streams: of them (n,), where there are several.
+            number: of the chunk; None: the one after the last.
         """
-        if not values.size:
-            return
-        if own:
+        if values.size:
             self.n += values.size
             finite = values[np.isfinite(values)]
             self.minimum = min(self.minimum, float(finite.min(initial=math.inf)))
             self.maximum = max(self.maximum, float(finite.max(initial=-math.inf)))
         if self.settled:
-            if own:
+            if values.size:
                 self._count(values, streams)
             return
-        self._pilot = np.concatenate([self._pilot, values[: PILOT - self._pilot.size]])
-        if own:
-            self._waiting = np.concatenate([self._waiting, values])
-            if streams is not None:
-                self._waiting_streams = np.concatenate([self._waiting_streams, streams])
+        number = self._chunks.stop if number is None else number
+        self._chunks = self._chunks.plus((number, number + 1))
+        if values.size:
+            self._waiting[number] = values, np.zeros(values.size, np.int64) if streams is None else streams
+        self._find()
+
+    def _find(self) -> None:
+        """Place the bins if the first values are there, those of the chunks without a gap from the first one on."""
+        known = sorted(number for number in self._waiting if number < self._chunks.begun)
+        if sum(self._waiting[number][0].size for number in known) >= PILOT:
+            self.settle(np.concatenate([self._waiting[number][0] for number in known])[:PILOT])
+
+    def settle(self, first: np.ndarray) -> None:
+        """Place the bins and count the values that wait.
+
+        Args:
+            first: values of the run, by this process or another (`PILOT`,).
+
+        Raises:
+            ValueError: the bins are known, and others.
+        """
         if self.settled:
-            self._count(self._waiting, self._waiting_streams if self.streams > 1 else None)
-            self._waiting, self._waiting_streams = np.empty(0), np.empty(0, np.int64)
+            if not np.array_equal(self._pilot, first):
+                raise ValueError("processes: they computed different values for the same units; use like machines")
+            return
+        self._pilot, self._grid = first, None
+        for values, streams in self._waiting.values():
+            self._count(values, streams if self.streams > 1 else None)
+        self._waiting, self._chunks = {}, Chunks()
 
     def _count(self, values: np.ndarray, streams: np.ndarray | None) -> None:
         places = self._bins.places(values)
@@ -172,7 +207,13 @@ class Order:
         return self._within(rank)[:2] if self.settled else self._exact().ends(rank)
 
     def _exact(self) -> "ExactOrder":
-        return ExactOrder(self._waiting, self._waiting_streams, count=self.streams)
+        values, streams = self._queue()
+        return ExactOrder(values, streams, count=self.streams)
+
+    def _queue(self) -> tuple[np.ndarray, np.ndarray]:
+        """Values that wait and their streams, in the order of the units."""
+        rows = [_NONE, *(self._waiting[number] for number in sorted(self._waiting))]
+        return np.concatenate([values for values, _ in rows]), np.concatenate([streams for _, streams in rows])
 
     def _at(self, k: int) -> float:
         """Order statistic k, 1 .. n; spread evenly over the bin it falls into."""
@@ -207,30 +248,42 @@ class Order:
 
     def state(self) -> dict[str, np.ndarray]:
         """Everything that `merge` needs."""
+        values, streams = self._queue()
+        lengths = [[number, self._waiting[number][0].size] for number in sorted(self._waiting)]
         return {
             "extremes": np.array([self.minimum, self.maximum]),
             "n": np.array([self.n]),
             "pilot": self._pilot,
-            "waiting": self._waiting,
-            "waiting_streams": self._waiting_streams,
+            "chunks": self._chunks.array(),
+            "waiting": values,
+            "waiting_streams": streams,
+            "waiting_chunks": np.array(lengths, np.int64).reshape(-1, 2),
             "counts": self._counts,
             "coarse": self._coarse,
         }
 
     def merge(self, state: Mapping[str, np.ndarray]) -> None:
         """Take in the `state` of other units of the same study; a ValueError where the bins differ."""
-        pilot = state["pilot"]
-        if not self.n and not self.settled:  # nothing here yet: the other's bins, or its search for them, go on
-            self._pilot, self._grid = pilot, None
-        elif (self.settled or pilot.size == PILOT) and not np.array_equal(self._pilot, pilot):
-            raise ValueError("processes: they computed different values for the same units; use like machines")
-        self._waiting = np.concatenate([self._waiting, state["waiting"]])
-        self._waiting_streams = np.concatenate([self._waiting_streams, state["waiting_streams"]])
+        if state["pilot"].size:
+            self.settle(state["pilot"])
+        ends = np.cumsum(state["waiting_chunks"][:, 1])[:-1]
+        parts = zip(*(np.split(state[key], ends) for key in ("waiting", "waiting_streams")))
+        for number, (values, streams) in zip(state["waiting_chunks"][:, 0].tolist(), parts):
+            if self.settled:
+                self._count(values, streams if self.streams > 1 else None)
+            else:
+                self._waiting[number] = values, streams
+        if not self.settled:
+            self._chunks = self._chunks.plus(*state["chunks"].tolist())
+            self._find()
         self._counts += state["counts"]
         self._coarse += state["coarse"]
         self.n += int(state["n"][0])
         minimum, maximum = state["extremes"].tolist()
         self.minimum, self.maximum = min(self.minimum, minimum), max(self.maximum, maximum)
+
+
+_NONE = np.empty(0), np.empty(0, np.int64)
 
 
 class ExactOrder:

@@ -1,43 +1,43 @@
 """A Monte Carlo run: units sampled, evaluated and counted chunk by chunk; its checkpoint and table of units."""
 
-import collections
 import contextlib
 import dataclasses
 import functools
-import itertools
+import json
 import math
 import os
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 
-from rvjax._ground.files import DAMAGE, Arrays, versions
+from rvjax._ground.files import DAMAGE, pack, unpack, versions
 from rvjax._ground.progress import progress_bar
 from rvjax._jax.callbacks import UnseenFunction
-from rvjax._jax.compile_cache import kept_folder
+from rvjax._jax.distributed import Store, place
 from rvjax.population import SCRAMBLES, Estimate, Population, Sampled
 from rvjax.records import PyTree
-from rvjax.response import Evaluator, Response, evaluator, gathered, place
+from rvjax.response import Response, evaluator
 from rvjax.status import PRECEDENCE
 from rvjax.tolerances.batch.accumulator import Accumulator
+from rvjax.tolerances.batch.ahead import ahead_of, in_order
 from rvjax.tolerances.batch.checkpoint import (
     LARGEST,
     Checkpoint,
     describe,
+    differences,
     of_number,
-    of_process,
+    parts_of,
     response_hash,
 )
+from rvjax.tolerances.batch.chunks import Chunks
 from rvjax.tolerances.batch.memo import Memo
+from rvjax.tolerances.batch.processes import Alone, Processes, agree, take
 from rvjax.tolerances.batch.quantiles import quantile_estimate
 from rvjax.tolerances.batch.statistics import Statistics, rejects
-from rvjax.tolerances.batch.unit_file import UnitFile, Write, writing
+from rvjax.tolerances.batch.unit_file import UnitFile, Write, joined, writing
 from rvjax.tolerances.requirements.kinds import Limits
 from rvjax.tolerances.worst_case import extremes
 
-Start = Callable[[int], tuple[dict[str, PyTree], PyTree]]  # first unit -> values and status
 QUANTILES = (0.00135, 0.5, 0.99865)
 """Shares whose quantiles are wanted: the median, and 3 sd of a normal distribution on both sides."""
 
@@ -63,17 +63,16 @@ class Run:
     progress: bool = False
     label: str = "Monte Carlo"
     memo: Memo | None = None
+    processes: Processes | None = None
 
     def statistics(self) -> Statistics:
-        """Sample, evaluate and count all units."""
-        study = self._described()
-        with self._saving(study) as write:
-            counted, file, done, kept = self._begun(study)
-            self._count(counted, file, done, 0 if write or (self.keep and not kept) else done, write)
-        if place()[1] > 1:
-            states, counted = gathered(counted.state(self.samples)), self._empty(keeps=bool(counted.values))
-            for part in states:
-                counted.merge(part)
+        """Sample, evaluate and count all units; several processes share them and all return the same result."""
+        study, group = self._described(), self.processes or (Store() if place()[1] > 1 else Alone())
+        counted, file, numbers, counts = self._begun(study, group)
+        with self._saving(study, group) as write:
+            self._count(counted, file, numbers, counts, write, group)
+        if group.count > 1:
+            counted = self._gathered(counted, study, group)
         return self._figures(counted, study)
 
     def of_units(self, values: dict[str, np.ndarray], status: np.ndarray) -> Statistics:
@@ -153,54 +152,103 @@ class Run:
         streams, kept = SCRAMBLES if self.method == "sobol" else 1, self.samples if keeps else 0
         return Accumulator(self.names, self.requirements, streams, kept)
 
-    def _saving(self, study: dict[str, str]) -> contextlib.AbstractContextManager[Write | None]:
+    def _saving(self, study: dict[str, str], group: Processes) -> contextlib.AbstractContextManager[Write | None]:
         """Context that returns the writer of every unit, or None."""
         if self.save is None:
             return contextlib.nullcontext()
-        path, (process, processes) = Path(self.save.path), place()
+        path = of_number(self.save.path, group.number, group.count)
         about = dict(seed=self.seed, samples=self.samples, method=self.method, versions=versions(), study=study)
-        own = path if processes == 1 else of_number(path, process, processes)
-        return writing(self.save, own, self.names, self.population, about)
+        return writing(self.save, path, self.names, self.population, about)
 
-    def _begun(self, study: dict[str, str]) -> tuple[Accumulator, Checkpoint | None, int, bool]:
-        """Counts so far, their checkpoint, number of the next chunk, and True if its units need no further check.
+    def _begun(self, study: dict[str, str], group: Processes) -> tuple[Accumulator, Checkpoint | None, Chunks, Chunks]:
+        """Counts so far in this process, its checkpoint, the chunks to go through, and those that are counted.
 
-        Counts are equal with and without kept units. A checkpoint that keeps units continues to do so, with or without
-        `keep`; a checkpoint without units gets them.
+        The first process takes in what all processes of the run before have left, however many they were, and says to
+        the others what is left to count. Counts are equal with and without kept units. A checkpoint that keeps units
+        continues to do so, with or without `keep`; a checkpoint without units gets them.
         """
-        if self.checkpoint is None:
-            return self._empty(keeps=self.keep), None, 0, True
-        process, processes = place()
-        try:
-            study["response"] = response_hash(self.response, self.population)
-        except UnseenFunction as error:
-            raise ValueError(f"checkpoint = {str(self.checkpoint)!r}: {error}; run without a checkpoint") from None
-        mine = {"process": f"{process} of {processes}"}
-        path, about = of_process(self.checkpoint, process, processes), study | mine | versions()
-        file = Checkpoint(path, about, every=self.checkpoint_every)
-        done, state = file.load(LARGEST * (1 + len(self.names)) + 16 * self.samples * len(self.names))
-        if done * self.chunk > self.samples:
-            where = f"checkpoint = {str(self.checkpoint)!r} holds {done * self.chunk} already"
-            raise ValueError(f"samples = {self.samples}: {where}")
-        kept = any(key.endswith("/values") for key in state)
-        if kept and not self.keep:
-            if processes > 1:  # of which some may have kept them and some not
-                raise ValueError(f"checkpoint = {str(self.checkpoint)!r}: stores every unit; continue with keep = True")
-            check_memory(self.samples, len(self.names))
-        counted = self._empty(keeps=self.keep or kept)
-        if done or state:
+        counted, file, again, number = self._empty(keeps=self.keep), None, self.save is not None, group.number
+        if self.checkpoint is not None:
             try:
-                seen = self._empty(keeps=kept)
-                seen.check(state, len(range(process, done, processes)) * self.chunk)
-                counted.merge(state)
+                study["response"] = response_hash(self.response, self.population)
+            except UnseenFunction as error:
+                raise ValueError(f"checkpoint = {str(self.checkpoint)!r}: {error}; run without a checkpoint") from None
+            if number == 0:
+                counted, file = self._taken_in(study | versions())
+                again |= bool(counted.values) and not counted.complete
+        about = study | versions() | {"samples": str(self.samples)}
+        if number == 0:
+            said = {"study": about, "chunks": counted.chunks.ranges, "again": again, "keeps": bool(counted.values)}
+            group.put("start", json.dumps(said).encode())
+            counts = counted.chunks
+        else:
+            said = json.loads(take(group, "start"))
+            if different := differences(said["study"], about, "in process 1"):
+                raise ValueError(f"process {number + 1} of {group.count}: has another study: {different}")
+            counted, counts, again = self._empty(keeps=said["keeps"]), Chunks.of(said["chunks"]), said["again"]
+            if self.checkpoint is not None:
+                path = of_number(self.checkpoint, number, group.count)
+                file = Checkpoint(path, study | versions(), every=self.checkpoint_every)
+                file.save(functools.partial(counted.state, 0), now=True)
+        total = -(-self.samples // self.chunk)
+        return counted, file, (Chunks.up_to(total) if again else counts.rest(total)).share(number, group.count), counts
+
+    def _taken_in(self, about: dict[str, str]) -> tuple[Accumulator, Checkpoint]:
+        """Counts of all checkpoints of the study, now in the file of the first process; the others are removed."""
+        assert self.checkpoint is not None
+        largest = LARGEST * (1 + len(self.names)) + 16 * self.samples * len(self.names)
+        counted, parts = self._empty(keeps=self.keep), parts_of(self.checkpoint)
+        for path in (self.checkpoint, *parts):
+            file = Checkpoint(path, about, every=self.checkpoint_every)
+            if not (state := file.load(largest)):
+                continue
+            kept = any(key.endswith("/values") for key in state)
+            if kept and not counted.values:
+                check_memory(self.samples, len(self.names))
+                more = self._empty(keeps=True)
+                more.merge(counted.state(0))
+                counted = more
+            try:
+                self._empty(keeps=kept).check(state, self.chunk)
+                chunks = Chunks.of(state["chunks"])
+                if (units := chunks.stop * self.chunk) > self.samples:
+                    where = f"checkpoint = {str(self.checkpoint)!r} holds {units} already"
+                    raise _Short(f"samples = {self.samples}: {where}")
+                if chunks.within(counted.chunks):  # a run that was killed here has taken them in already
+                    counted.fill(state)
+                else:
+                    counted.merge(state)
+            except _Short:
+                raise
             except DAMAGE as error:
                 raise file.damaged(error) from None
-        return counted, file, done, kept or not done
+        file = Checkpoint(self.checkpoint, about, every=self.checkpoint_every)
+        if parts:
+            file.save(functools.partial(counted.state, counted.chunks.stop * self.chunk), now=True)
+            for path in parts:
+                path.unlink(missing_ok=True)
+        return counted, file
 
-    def _count(self, counted: Accumulator, file: Checkpoint | None, done: int, first: int, write: Write | None) -> None:
-        """Chunks from `first` on; those before `done` are counted already, and only kept or written."""
+    def _count(
+        self,
+        counted: Accumulator,
+        file: Checkpoint | None,
+        numbers: Chunks,
+        counts: Chunks,
+        write: Write | None,
+        group: Processes,
+    ) -> None:
+        """Go through chunks; those that some process has counted already are only kept or written.
+
+        Args:
+            counted: counts of this process.
+            file: its checkpoint.
+            numbers: chunks of this process.
+            counts: chunks that are counted.
+            write: writes units, or None.
+            group: all processes.
+        """
         samples, chunk = self.samples, self.chunk
-        process, processes = place()
         count = min(chunk, samples)
         evaluated = evaluator(self.response, self.population, self.seed, self.method, count)
         asked = describe(self.population, {}) | {"seed": str(self.seed), "method": self.method, "count": str(count)}
@@ -211,33 +259,54 @@ class Run:
             compute = functools.partial(evaluated.start, first)
             return self.memo.units(self.names, asked | {"first": str(first)}, compute)
 
-        label = self.label if processes == 1 else f"{self.label}, process {process + 1} of {processes}"
-        reached = first * chunk
-        with progress_bar(self.progress, samples, label, "unit", initial=reached) as advance:
-            numbers = range(first, -(-samples // chunk))
-            for number, values, status in _chunks(start, counted, numbers, chunk, samples, _ahead(evaluated)):
-                own, unit = number % processes == process, number * chunk
-                status = counted.judged(values, status)
-                if number >= done:
-                    counted.add(number, unit, values, status, own=own)
-                elif own:
+        label = self.label if group.count == 1 else f"{self.label}, process {group.number + 1} of {group.count}"
+        whole = samples // chunk  # a larger study evaluates a shorter last chunk whole: no checkpoint has it
+        last = max((min(stop, whole) for first, stop in numbers.ranges if first < whole), default=0) - 1
+        own = numbers.count * chunk - max(numbers.stop * chunk - samples, 0)
+        total, agreed = samples if group.count == 1 else own, group.count == 1
+
+        def state() -> dict[str, np.ndarray]:
+            return counted.state(counted.chunks.stop * chunk)
+
+        with progress_bar(self.progress, total, label, "unit", initial=total - own) as advance:
+            for number, values, status in in_order(start, numbers, chunk, samples, ahead_of(evaluated)):
+                try:
+                    group.check()
+                except ValueError:
+                    if file is not None:
+                        file.save(state, now=True)
+                    raise
+                unit, status = number * chunk, counted.judged(values, status)
+                if number in counts:
                     counted.keep(unit, values, status)
-                    if file is not None and self.keep and number + 1 == done:  # the next run finds them
-                        file.save(done, functools.partial(counted.state, done * chunk), now=True)
-                if write and own:
+                else:
+                    counted.add(number, unit, values, status)
+                    agreed = agreed or agree(counted, group)
+                if write:
                     write(unit, values, status, evaluated.errors(unit) if self.save and self.save.errors else {})
-                # A larger study evaluates a shorter last chunk whole.
-                if file is not None and own and number >= done and len(status) == chunk:
-                    last = (number + 1 + processes) * chunk > samples
-                    file.save(number + 1, functools.partial(counted.state, (number + 1) * chunk), now=last)
-                advance(min((number + 1) * chunk, samples) - reached)
-                reached = min((number + 1) * chunk, samples)
-            advance(samples - reached)  # the last chunks may be other processes'
+                if file is not None and number <= last:
+                    file.save(state, now=number == last)
+                advance(len(status))
+        if not agreed:
+            agree(counted, group, last=True)
 
-
-def _ahead(evaluated: Evaluator) -> int:
-    """Chunks evaluated at once, each by a thread: two where a command keeps programs and chunks are small."""
-    return 2 if kept_folder() is not None and type(evaluated) is Evaluator and not evaluated.shared else 1
+    def _gathered(self, counted: Accumulator, study: dict[str, str], group: Processes) -> Accumulator:
+        """Counts of all processes, one after the other in the first, then in all."""
+        if group.number:
+            group.put(f"state-{group.number}", pack(counted.state(self.samples)))
+            counted = self._empty(keeps=bool(counted.values))
+            counted.merge(unpack(take(group, "result")))
+        else:
+            for number in range(1, group.count):
+                counted.merge(unpack(take(group, f"state-{number}")))
+            if self.checkpoint is not None:
+                self._taken_in(study | versions())
+            if self.save is not None:
+                path = Path(self.save.path)
+                joined([of_number(path, number, group.count) for number in range(group.count)], path)
+            group.put("result", pack(counted.state(self.samples)))
+        group.end()
+        return counted
 
 
 def check_memory(samples: int, responses: int) -> None:
@@ -252,40 +321,5 @@ def check_memory(samples: int, responses: int) -> None:
         )
 
 
-def _chunks(
-    start: Callable[[int], tuple[dict[str, PyTree], PyTree]],
-    counted: Accumulator,
-    numbers: range,
-    chunk: int,
-    samples: int,
-    ahead: int,
-) -> Iterator[tuple[int, dict[str, np.ndarray], np.ndarray]]:
-    """Evaluated chunks of this process in order; the device works on the next ones while the host reads this one.
-
-    Until the range of the histograms is known, those of other processes too. With several ahead, threads start them,
-    for XLA shares out no kernel of a few thousand units; the first chunk, which compiles, is started here.
-    """
-    process, processes = place()
-    ready: collections.deque[tuple[int, Callable[[], tuple[Arrays, PyTree]]]] = collections.deque()
-    with ThreadPoolExecutor(ahead, "units") as threads:
-        for number in itertools.chain(numbers, [None] * ahead):
-            if number is not None:
-                if number % processes != process and counted.settled:
-                    continue
-                if ahead > 1 and ready:
-                    waiting = threads.submit(_finished, start, number * chunk)
-                    ready.append((number, waiting.result))
-                else:
-                    ready.append((number, functools.partial(tuple, start(number * chunk))))
-            if len(ready) > ahead or (number is None and ready):
-                done, wait = ready.popleft()
-                values, status = wait()
-                # The last chunk is evaluated as long as the others, and cut here: nothing is compiled twice.
-                count = min(chunk, samples - done * chunk)
-                yield done, {name: np.asarray(v)[:count] for name, v in values.items()}, np.asarray(status)[:count]
-
-
-def _finished(start: Callable[[int], tuple[dict[str, PyTree], PyTree]], first: int) -> tuple[Arrays, np.ndarray]:
-    """Values and status of a chunk, computed."""
-    values, status = start(first)
-    return {name: np.asarray(row) for name, row in values.items()}, np.asarray(status)
+class _Short(ValueError):
+    """Fewer samples than a checkpoint counts."""

@@ -3,8 +3,8 @@
 import contextlib
 import csv
 import dataclasses
-import itertools
 import json
+import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
@@ -108,16 +108,18 @@ def writing(
         yield write
 
 
-def joined(parts: Sequence[Path], path: Path, chunk: int) -> None:
-    """One file from those of several processes, of which each holds every n-th chunk.
+def joined(parts: Sequence[Path], path: Path) -> None:
+    """One file from those of several processes, which are removed.
 
     Args:
-        parts: in the order of the processes.
-        path: of the whole, with the ending of the parts.
-        chunk: units of each chunk but the last.
+        parts: in the order of the units.
+        path: of the whole, with the ending of a table.
     """
     with replacing(path) as partial:
-        _TABLES[path.suffix].join(parts, partial, chunk)
+        _TABLES[path.suffix].join(parts, partial)
+    for part in parts:
+        if part != path:
+            part.unlink()
 
 
 _GOOD = [int(status) for status in SUCCESS]
@@ -144,16 +146,14 @@ class _Csv:
         self._rows.writerows(zip(number.tolist(), status, *cells))
 
     @staticmethod
-    def join(parts: Sequence[Path], path: Path, chunk: int) -> None:
-        with contextlib.ExitStack() as opened, path.open("w", encoding="utf-8", newline="") as file:
-            sources = [opened.enter_context(part.open(encoding="utf-8", newline="")) for part in parts]
-            heads = [source.readline() for source in sources]
-            file.write(heads[0])
-            for source in itertools.cycle(sources):
-                lines = list(itertools.islice(source, chunk))
-                file.writelines(lines)
-                if len(lines) < chunk:  # the last chunk of all, or none is left for this process
-                    break
+    def join(parts: Sequence[Path], path: Path) -> None:
+        with path.open("w", encoding="utf-8", newline="") as file:
+            for part in parts:
+                with part.open(encoding="utf-8", newline="") as source:
+                    head = source.readline()
+                    if part == parts[0]:
+                        file.write(head)
+                    shutil.copyfileobj(source, file)
 
 
 class _Parquet:
@@ -184,17 +184,15 @@ class _Parquet:
         self._writer.write_table(table, row_group_size=len(number))
 
     @staticmethod
-    def join(parts: Sequence[Path], path: Path, chunk: int) -> None:
+    def join(parts: Sequence[Path], path: Path) -> None:
         from pyarrow import parquet
 
-        files = [parquet.ParquetFile(part) for part in parts]
-        count = sum(file.num_row_groups for file in files)
-        with parquet.ParquetWriter(path, files[0].schema_arrow) as writer:
-            for number in range(count):
-                table = files[number % len(files)].read_row_group(number // len(files))
-                writer.write_table(table, row_group_size=len(table))
-        for file in files:
-            file.close()
+        with parquet.ParquetWriter(path, parquet.read_schema(parts[0])) as writer:
+            for part in parts:
+                with parquet.ParquetFile(part) as file:
+                    for number in range(file.num_row_groups):
+                        table = file.read_row_group(number)
+                        writer.write_table(table, row_group_size=len(table))
 
 
 _TABLES: dict[str, type[_Csv] | type[_Parquet]] = {".csv": _Csv, ".parquet": _Parquet}
