@@ -98,6 +98,7 @@ def _only_read(layout: Layout, design: CycloidalReducer) -> CycloidalReducer:
         contact=contact.replace(**unread),
         stiffness=springs if _unknowns(layout).floats else springs.replace(output_support=0.0),
         bearings=None,
+        friction=None,
     )
 
 

@@ -97,6 +97,7 @@ def _only_read(layout: Layout, design: RVReducer) -> RVReducer:
         inertia=None,
         mesh_variation=None,
         bearings=None,
+        friction=None,
         damping=None,
         stiffness=springs.replace(**dict.fromkeys(unread, 1.0)),
         contact=contact,

@@ -1,0 +1,19 @@
+"""Friction of a reducer as built: losses, efficiency, starting and back-driving torque, hysteresis, joint models.
+
+Losses follow from the forces of the loaded equilibrium and exact sliding speeds: docs/models/running.md.
+"""
+
+from rvjax.running.back_driving import BackDriving
+from rvjax.running.drag import DragFit, fit_drag
+from rvjax.running.hysteresis import Hysteresis
+from rvjax.running.joint import Joint
+from rvjax.running.losses import Losses
+
+__all__ = [
+    "BackDriving",
+    "DragFit",
+    "Hysteresis",
+    "Joint",
+    "Losses",
+    "fit_drag",
+]
