@@ -5,6 +5,8 @@ Losses follow from the forces of the loaded equilibrium and exact sliding speeds
 
 from rvjax.running.back_driving import BackDriving
 from rvjax.running.drag import DragFit, fit_drag
+from rvjax.running.formats.forms import FORMATS as FORMATS
+from rvjax.running.formats.head import Header as Header, units as units
 from rvjax.running.hysteresis import Hysteresis
 from rvjax.running.joint import Joint
 from rvjax.running.losses import Losses

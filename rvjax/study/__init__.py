@@ -45,6 +45,7 @@ from rvjax.study.values import (
     integer,
     known,
     naming,
+    quantities as quantities,
     quantity,
     subtable,
 )

@@ -59,9 +59,7 @@ def numbers(joint: PyTree) -> dict[str, float | None]:
     found = {name: None if value is None else float(value) for name, value in given.items()}
     bad = [name for name, value in found.items() if value is not None and not math.isfinite(value)]
     if bad:
-        raise ValueError(
-            f"{bad[0]} = {found[bad[0]]}: must be finite; the file is not written"
-        )
+        raise ValueError(f"{bad[0]} = {found[bad[0]]}: must be finite; the file is not written")
     return found
 
 
