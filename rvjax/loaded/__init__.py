@@ -7,6 +7,7 @@ Derived in this project: docs/models/loaded.md.
 from rvjax.loaded.bearing_forces import BearingForces as BearingForces, bearing_forces as bearing_forces
 from rvjax.loaded.cases import MACHINE as MACHINE, RATED as RATED, WHOLE as WHOLE
 from rvjax.loaded.clearance import Clearance, clearance
+from rvjax.loaded.conditions import Conditions as Conditions, DriveConditions as DriveConditions, ways as ways
 from rvjax.loaded.encoder import Reading, housing_orders, reading
 from rvjax.loaded.equilibrium import Loaded, equilibrium
 from rvjax.loaded.head import HEAD_PARTS as HEAD_PARTS
