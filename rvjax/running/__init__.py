@@ -7,7 +7,7 @@ from rvjax.running.back_driving import BackDriving
 from rvjax.running.drag import DragFit, fit_drag
 from rvjax.running.hysteresis import Hysteresis
 from rvjax.running.joint import Joint
-from rvjax.running.losses import Losses
+from rvjax.running.losses import Losses, losses
 
 __all__ = [
     "BackDriving",
@@ -16,4 +16,5 @@ __all__ = [
     "Joint",
     "Losses",
     "fit_drag",
+    "losses",
 ]
