@@ -19,9 +19,10 @@ from rvjax._jax.compile_cache import QUICK
 from rvjax.catalogue import RV_40E
 from rvjax.designs import Contact, RVReducer, Stiffness
 from rvjax.errors import RVErrors, read_by
+from rvjax.life.angles import input_angles
 from rvjax.life.duty import Duty
 from rvjax.life.histories import METHODS
-from rvjax.life.machine import check_places, check_plan, input_angles
+from rvjax.life.machine import check_places, check_plan
 from rvjax.life.rated import RatedTorque, rated_torque
 from rvjax.life.rating import Rating, by_forces, rating, under
 from rvjax.life.ratings import check_ratings, static_rating

@@ -209,6 +209,7 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
         length=radius / design.carrier_factor,
         hole_pressure=holes.pressure.reshape(layout.discs, -1),
         eccentric=jnp.stack([b.cosine, b.sine], axis=-1),
+        size=at.ring.size / one,
         most=holes.most,
     )
 

@@ -9,7 +9,7 @@ from rvjax.running.formats.forms import FORMATS as FORMATS
 from rvjax.running.formats.head import Header as Header, units as units
 from rvjax.running.hysteresis import Hysteresis
 from rvjax.running.joint import Joint
-from rvjax.running.losses import Losses
+from rvjax.running.losses import Losses, losses
 
 __all__ = [
     "BackDriving",
@@ -18,4 +18,5 @@ __all__ = [
     "Joint",
     "Losses",
     "fit_drag",
+    "losses",
 ]
