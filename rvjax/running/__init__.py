@@ -8,8 +8,10 @@ from rvjax.running.drag import DragFit, fit_drag
 from rvjax.running.formats.forms import FORMATS as FORMATS
 from rvjax.running.formats.head import Header as Header, units as units
 from rvjax.running.hysteresis import Hysteresis
+from rvjax.running.inputs import SHARES as SHARES
 from rvjax.running.joint import Joint
 from rvjax.running.losses import Losses, losses
+from rvjax.running.sets import Turned as Turned, sign_of as sign_of, turned as turned
 
 __all__ = [
     "BackDriving",
