@@ -24,8 +24,11 @@ def efficiency_against_torque(
     torque, band, speeds = np.asarray(torque), 100 * np.asarray(efficiency), np.asarray(speeds)
     for k, speed in enumerate(speeds):
         label = f"{speed / rpm:.4g} r/min" if speed else "limit of low speed"
-        axes.fill_between(torque, band[0, k], band[2, k], color=PALETTE[k], alpha=0.2, lw=0)
-        axes.plot(torque, band[1, k], DASHES[k % len(DASHES)], color=PALETTE[k], marker="o", ms=3, label=label)
+        dash = DASHES[k % len(DASHES)]
+        if k == len(speeds) // 2:  # one band is filled, the others would cover it
+            axes.fill_between(torque, band[0, k], band[2, k], color=PALETTE[k], alpha=0.25, lw=0)
+        axes.plot(torque, band[::2, k].T, dash, color=PALETTE[k], lw=0.7)
+        axes.plot(torque, band[1, k], dash, color=PALETTE[k], marker="o", ms=3, label=label)
     axes.axvline(torque[rated], color=LIMIT, lw=1, label="torque of the conditions")
     axes.set(xlabel="output torque (N m)", ylabel="efficiency (%)", xlim=(0, None))
     axes.set_title("Efficiency against torque: median, and 1 to 99 % of the units")
