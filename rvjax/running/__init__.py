@@ -3,10 +3,10 @@
 Losses follow from the forces of the loaded equilibrium and exact sliding speeds: docs/models/running.md.
 """
 
-from rvjax.running.back_driving import BackDriving
+from rvjax.running.back_driving import BackDriving, back_driving
 from rvjax.running.drag import DragFit, fit_drag
-from rvjax.running.hysteresis import Hysteresis
-from rvjax.running.joint import Joint
+from rvjax.running.hysteresis import Hysteresis, hysteresis
+from rvjax.running.joint import Joint, joint
 from rvjax.running.losses import Losses, losses
 
 __all__ = [
@@ -15,6 +15,9 @@ __all__ = [
     "Hysteresis",
     "Joint",
     "Losses",
+    "back_driving",
     "fit_drag",
+    "hysteresis",
+    "joint",
     "losses",
 ]
