@@ -11,8 +11,16 @@ from rvjax.designs import Inertia, RVReducer
 from rvjax.loaded import Layout, Read
 from rvjax.records import PyTree, Scalar
 
-Slips = tuple[jax.Array, jax.Array, float]
 Inertias = tuple[Scalar, Scalar] | tuple[None, None]
+
+
+class Held(NamedTuple):
+    """Rotations in an elastic motion with the input held, and the ideal motion that it contains, rad."""
+
+    discs: jax.Array  # (d,)
+    cranks: jax.Array  # (c,)
+    carrier: jax.Array  # ()
+    ideal: jax.Array  # () of the carrier against the ring
 
 
 class Kind(NamedTuple):
@@ -22,7 +30,7 @@ class Kind(NamedTuple):
     joint_slip: Callable[[PyTree, jax.Array], Scalar]  # (design, eccentricity) -> m
     supports: bool  # whether the supports of the cranks turn with the discs' forces, in the carrier
     support_turns: Callable[[PyTree], float]
-    turns: Callable[[Layout, Read, jax.Array], Slips]  # displacements -> rotations of discs (d,), cranks (c,), carrier
+    held: Callable[[Layout, Read, jax.Array], Held]
     inertias: Callable[[PyTree], Inertias]  # rotor, output, at the output
 
 
@@ -36,13 +44,19 @@ def _slip_in_holes(design: CycloidalReducer, eccentricity: jax.Array) -> Scalar:
     return eccentricity * design.cycloid.pin_count
 
 
-def _turns_of_cranks(layout: Layout, read: Read, q: jax.Array) -> Slips:
-    rows = [layout.link(i) + 2 for i in range(layout.links)]
-    return q[2 : layout.inner : 3], jnp.stack([q[row] for row in rows]) / read.design.involute.planet_base_radius, 1.0
+def _held_sun(layout: Layout, read: Read, q: jax.Array) -> Held:
+    radius = jnp.asarray(read.design.cranks.circle_radius)
+    rho = q[layout.inner + 2 : layout.carried : 3] / read.design.involute.planet_base_radius
+    return Held(q[2 : layout.inner : 3] / radius, rho, q[layout.carried] / radius, jnp.zeros((), q.dtype))
 
 
-def _turns_of_shaft(layout: Layout, read: Read, q: jax.Array) -> Slips:
-    return q[2 : layout.inner : 3], jnp.zeros((1,), q.dtype), 1.0
+def _held_shaft(layout: Layout, read: Read, q: jax.Array) -> Held:
+    """A shaft that is held against a carrier at rest turns with it against the ring, so that the ideal motion adds."""
+    radius = jnp.asarray(read.design.output.circle_radius)
+    carrier = q[layout.carried] / radius
+    turned = jnp.zeros_like(carrier) if read.design.member == "carrier" else carrier
+    ideal = -turned / read.design.cycloid.pin_count
+    return Held(q[2 : layout.inner : 3] / radius, turned[None], carrier, ideal)
 
 
 def _inertias_of_rv(design: RVReducer) -> Inertias:
@@ -69,7 +83,7 @@ KINDS: dict[type, Kind] = {
         joint_slip=_slip_of_meshes,
         supports=True,
         support_turns=lambda design: design.cycloid.pin_count,
-        turns=_turns_of_cranks,
+        held=_held_sun,
         inertias=_inertias_of_rv,
     ),
     CycloidalReducer: Kind(
@@ -77,7 +91,7 @@ KINDS: dict[type, Kind] = {
         joint_slip=_slip_in_holes,
         supports=False,
         support_turns=lambda design: abs(design.ratio),
-        turns=_turns_of_shaft,
+        held=_held_shaft,
         inertias=lambda design: (None, None),
     ),
 }

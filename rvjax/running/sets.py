@@ -15,7 +15,8 @@ from rvjax.designs import Friction
 from rvjax.loaded import ways
 from rvjax.outputs import Solved, Source
 from rvjax.records import PyTree, Scalar
-from rvjax.running.back_driving import BackDriving
+from rvjax.running.back_driving import BackDriving, back_driving
+from rvjax.running.hysteresis import hysteresis
 from rvjax.running.inputs import Plan, check_call, entered
 from rvjax.running.turn import around, ended, worked
 from rvjax.status import Status, worst
@@ -122,8 +123,6 @@ def together(sources: tuple[Source, ...], design: PyTree, errors: PyTree, given:
 
 def driven_back(design: PyTree, errors: PyTree, given: Any) -> BackDriving:
     """Torque on the output that turns it in the direction of the motion."""
-    from rvjax.running.back_driving import back_driving  # TEMP
-
     direction = "forward" if sign_of(given) > 0 else "backward"
     return back_driving(
         errors.stiffened(design), errors, direction=direction, samples=given.running_samples, **ways(given)
@@ -132,8 +131,6 @@ def driven_back(design: PyTree, errors: PyTree, given: Any) -> BackDriving:
 
 def loop(design: PyTree, errors: PyTree, given: Any) -> Solved:
     """Largest of the probe angles, which divide a crank turn."""
-    from rvjax.running.hysteresis import hysteresis  # TEMP
-
     design, step = errors.stiffened(design), 2 * np.pi * design.ratio / design.cycloid.pin_count / given.probe_angles
 
     def at(angle: jax.Array) -> tuple[jax.Array, jax.Array]:

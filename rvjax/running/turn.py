@@ -81,10 +81,10 @@ def around(plan: Plan, call: Call, torques: jax.Array, start: jax.Array | None =
     def take(case: Case, q: jax.Array, carries: jax.Array) -> dict[str, jax.Array]:
         at = forces(layout, case.system, q)
         of_names = named(layout, read, case, at)
-        sums = {"ring_pins": jnp.sum(at.pins * ring_slip(call, case)), kind.joints: jnp.sum(at.joints)}
+        sums = {"ring_pins": jnp.sum(at.pins * jnp.abs(ring_slip(call, case))), kind.joints: jnp.sum(at.joints)}
         arm, support = (jnp.where(carries, force, 0) for force in (of_names.disc_bearing, of_names.support_bearing))
         sums = {name: jnp.where(carries, value, 0) for name, value in sums.items()}
-        return sums | {f"{name}_bearings": value for name, value in moments(call, arm, support).items()}
+        return sums | {name: jnp.sum(value) for name, value in bearing_moments(call, arm, support).items()}
 
     angles = input_angles(plan, read.design, read.torque.dtype)
     found = equilibria(layout, read, torques, angles, take, start, near=plan.near)
@@ -115,7 +115,7 @@ def around(plan: Plan, call: Call, torques: jax.Array, start: jax.Array | None =
 
 
 def ring_slip(call: Call, case: Case) -> jax.Array:
-    """Slip of each ring pin per radian of the output, (d, p) m. Eq. 1.
+    """Slip of each ring pin per radian of the carrier against the ring, (d, p) m, signed. Eq. 1.
 
     Args:
         call: radii are read.
@@ -123,19 +123,7 @@ def ring_slip(call: Call, case: Case) -> jax.Array:
     """
     cycloid = call.read.design.cycloid
     assert case.size is not None
-    return jnp.abs(cycloid.pin_circle_radius * case.size - cycloid.pin_radius)
-
-
-def moments(call: Call, arm: jax.Array, support: jax.Array) -> dict[str, jax.Array]:
-    """Friction moments of the loads of all arm bearings and of all support bearings, () N m.
-
-    Args:
-        call: coefficients and bearings.
-        arm: crank on disc, (d, c, 2) N.
-        support: crank on carrier, (c, 2) N.
-    """
-    each = bearing_moments(call, arm, support)
-    return {name: jnp.sum(value) for name, value in each.items()}
+    return jnp.asarray(cycloid.pin_circle_radius * case.size - cycloid.pin_radius)
 
 
 def bearing_moments(call: Call, arm: jax.Array, support: jax.Array) -> dict[str, jax.Array]:
@@ -151,12 +139,12 @@ def bearing_moments(call: Call, arm: jax.Array, support: jax.Array) -> dict[str,
     if bearings is None:
         return found
     if friction.arm_bearings is not None:
-        found["arm"] = friction.arm_bearings * magnitude(arm) * bearings.arm.pitch_diameter / 2
+        found["arm_bearings"] = friction.arm_bearings * magnitude(arm) * bearings.arm.pitch_diameter / 2
     if friction.support_bearings is not None:
         assert bearings.support is not None
         force = shared(bearings, arm, support)
         load = magnitude(force) if bearings.preload is None else tapered(bearings, force).dynamic
-        found["support"] = friction.support_bearings * load * bearings.support.pitch_diameter / 2
+        found["support_bearings"] = friction.support_bearings * load * bearings.support.pitch_diameter / 2
     return found
 
 
