@@ -77,8 +77,7 @@ def compute(inputs: Inputs) -> tuple[running.Joint, Header]:
         if inputs.errors is None:
             found, said = _statistic(unit, inputs)
         else:
-            found, said = _of_unit(unit, inputs.errors), "nominal, without errors"
-            said = said if inputs.unit == "nominal" else f"errors of {inputs.unit}"
+            found, said = _of_unit(unit, inputs.errors), inputs.unit
             if (status := Status(int(found.info.status))) not in SUCCESS:
                 raise StudyError(f"unit {inputs.unit}: cannot be solved: {status.name} ({MEANING[status]})")
     if inputs.rotor_inertia is not None:
@@ -107,6 +106,6 @@ def _statistic(unit: _Joined, inputs: Inputs) -> tuple[running.Joint, str]:
     settled = {name: quantile(name, value) for name, value in numbers.items() if value is not None}
     info = jax.tree.map(lambda x: x[0], found.info)
     what = "median" if inputs.unit == "median" else "unfavourable 99 % quantile"
-    said = f"no single unit: each number is the {what} of {count} random units, seed {study.seed}"
+    said = f"{inputs.unit}, no single unit: each number is the {what} of {count} random units, seed {study.seed}"
     said += f"; {count - good.sum()} of them cannot be solved and count as unfavourable" if not good.all() else ""
     return found.replace(info=info, **settled), said

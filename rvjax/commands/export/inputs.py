@@ -68,7 +68,9 @@ def inputs(options: argparse.Namespace) -> Inputs:
 
     found = study.load(options.study, solve=False, needs=("design", *(("tolerances",) if statistic else ())))
     design = found.design
-    if getattr(design, "friction", None) is None:
+    if not hasattr(design, "friction"):
+        raise StudyError(f"{found.name}: {study.kind_of(design).name} has no model of its friction")
+    if design.friction is None:
         raise StudyError(f"{found.name}: design.friction is missing: rvjax export needs it")
     torque = getattr(found.conditions, "rated_torque", None)
     if options.rated_torque is not None:
@@ -82,7 +84,8 @@ def inputs(options: argparse.Namespace) -> Inputs:
     for name, value in positive.items():
         if value <= 0:
             option = getattr(options, name)
-            raise ValueError(f"{_flag(name)} = {value if option is None else option!r}: must be positive")
+            said = f"conditions.{name} = {value:g}" if option is None else f"{_flag(name)} = {option!r}"
+            raise ValueError(f"{said}: must be positive")
     if given["damping"] is not None and given["damping"] < 0:
         raise ValueError(f"--damping = {options.damping!r}: must not be negative")
     if FORMATS[form].inertias and getattr(design, "inertia", None) is None:

@@ -113,13 +113,8 @@ def _efficiencies(losses: UnitLosses) -> Table:
         for k, torque in enumerate(losses.torque)
     ]
     caption = "Efficiency in %: median of the units [1 %, 99 % of the units]"
-    return Table(
-        "efficiencies",
-        columns,
-        rows,
-        caption=caption,
-        note=f"L of the median unit. Above {FAR:g} first order does not hold.",
-    )
+    note = f"L of the median unit. Above {FAR:g} first order does not hold."
+    return Table("efficiencies", columns, rows, caption=caption, note=note)
 
 
 def _speed(speed: float) -> str:
