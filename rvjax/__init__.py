@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         CrankStage,
         CycloidStage,
         Damping,
+        Friction,
         Inertia,
         InvoluteStage,
         MeshVariation,
@@ -37,8 +38,8 @@ __version__ = "0.2.0"
 _HOMES = {
     "cycloidal": "CycloidalErrors CycloidalReducer CycloidalStiffness OutputPins",
     "designs": (
-        "Bearings CamRollerReducer Contact CrankStage CycloidStage Damping Inertia InvoluteStage MeshVariation "
-        "RVReducer RollerBearing Stiffness"
+        "Bearings CamRollerReducer Contact CrankStage CycloidStage Damping Friction Inertia InvoluteStage "
+        "MeshVariation RVReducer RollerBearing Stiffness"
     ),
     "dynamics": (
         "Block Blocks DynamicError ErrorExcitation ErrorStatistics Floquet Lumped Modes Periodic "
@@ -52,11 +53,12 @@ _HOMES = {
     "mesh_force": "ContactPressure CycleStatistics MeshForces ToothProfile",
     "records": "Record",
     "roots": "Root",
+    "running": "BackDriving DragFit Hysteresis Joint Losses",
     "status": "SolveError SolveInfo Status check",
 }
 _MODULES = (
     "assembly catalogue compensation dynamics four_bar geometry identify levels life loaded lost_motion mesh_force "
-    "models mounting plotting published roots study tolerances units "
+    "models mounting plotting published roots running study tolerances units "
 )
 _LAZY = {name: home for home, names in _HOMES.items() for name in names.split()} | dict.fromkeys(_MODULES.split())
 
@@ -91,5 +93,6 @@ def __dir__() -> list[str]:
     typed = (name for name, home in _LAZY.items() if home in (None, "cycloidal", "designs", "errors", "status"))
     return sorted(
         {"__version__", "enable_x64", "LinkDeviations", "Reading", *typed}
-        - {"models", "mounting", "roots", "SolveInfo", "CycloidalStiffness", "MeshVariation", "OutputPins"}
+        - {"models", "mounting", "roots", "SolveInfo", "CycloidalStiffness", "OutputPins"}
+        - {"Damping", "Inertia", "MeshVariation"}
     )

@@ -11,8 +11,9 @@ import numpy as np
 
 from rvjax._ground.choices import choose
 from rvjax._reducer.bearings import Bearings
+from rvjax._reducer.friction import Friction
 from rvjax.designs import Contact, CycloidStage
-from rvjax.errors import Errors, RVErrors, deviation, part
+from rvjax.errors import RUNNING, Errors, RVErrors, deviation, part
 from rvjax.records import Record, Scalar, concrete, count, field, quantity, record, text
 
 MEMBERS = ("carrier", "ring")
@@ -20,7 +21,7 @@ MEMBERS = ("carrier", "ring")
 
 SHAFT, OUTPUT = part("shaft", stage="cranks"), part("output_pins", stage="output")
 DISCS, CARRIER = "discs", "carrier"  # as of an RV reducer
-READ_BY = ("loaded", "life")
+READ_BY = ("loaded", "life", "running")
 
 
 @record
@@ -76,9 +77,9 @@ class CycloidalStiffness(Record):
     output_support: Scalar = field("N/m", "radial support of a floating carrier", default=0.0, sign="nonnegative")
 
 
-def _as_rv(name: str, meaning: str = "", part: str = "") -> Any:
-    """An error that an RV reducer has too, with another meaning or part where they are given."""
-    about = dict(RVErrors.__dataclass_fields__[name].metadata) | dict(read_by=READ_BY, bounds=None)
+def _as_rv(name: str, meaning: str = "", part: str = "", reader: tuple[str, ...] = READ_BY) -> Any:
+    """An error that an RV reducer has too, with another meaning, part or reader where they are given."""
+    about = dict(RVErrors.__dataclass_fields__[name].metadata) | dict(read_by=reader, bounds=None)
     about |= {key: given for key, given in (("meaning", meaning), ("part", part)) if given}
     return dataclasses.field(default=0.0, metadata=about)
 
@@ -185,6 +186,14 @@ class CycloidalErrors(Errors):
         vector="xy",
         carried_by="carrier",
     )
+    ring_pin_friction: Scalar = _as_rv("ring_pin_friction", reader=RUNNING)
+    output_pin_friction: Scalar = deviation(
+        "-", "share by which the friction of output pins is larger", OUTPUT, RUNNING
+    )
+    arm_bearing_friction: Scalar = _as_rv(
+        "arm_bearing_friction", "share by which the friction of the eccentric bearings is larger", reader=RUNNING
+    )
+    drag_friction: Scalar = _as_rv("drag_friction", reader=RUNNING)
 
 
 @record
@@ -203,6 +212,7 @@ class CycloidalReducer(Record):
     stiffness: CycloidalStiffness | None = field("-", "stiffnesses of the bearings", kind="record", default=None)
     contact: Contact | None = field("-", "contact of discs and pins", kind="record", default=None)
     bearings: Bearings | None = field("-", "bearings of the eccentrics", kind="record", default=None)
+    friction: Friction | None = field("-", "friction by place, for `running`", kind="record", default=None)
     member: str = text(
         'the output: "carrier" (ring at rest) or "ring" (carrier at rest)', default="carrier", choices=MEMBERS
     )

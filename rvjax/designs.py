@@ -13,6 +13,7 @@ import jax
 import numpy as np
 
 from rvjax._reducer.bearings import Bearings as Bearings, RollerBearing as RollerBearing
+from rvjax._reducer.friction import Friction as Friction
 from rvjax.errors import CamRollerErrors, RVErrors
 from rvjax.records import Array, Record, Scalar, concrete, count, field, quantity, record
 from rvjax.units import deg
@@ -236,7 +237,7 @@ class Contact(Record):
 @record
 class RVReducer(Record):
     """An RV reducer. Stiffness is read by the dynamic and the loaded model, contact by the loaded model only,
-    bearings by the life only."""
+    bearings by the life and the friction, friction by `running` only."""
 
     kind: ClassVar[str] = "rv"  # in study files
     error_record: ClassVar[type[RVErrors]] = RVErrors
@@ -251,6 +252,7 @@ class RVReducer(Record):
     damping: Damping | None = field("-", "damping", kind="record", default=None)
     contact: Contact | None = field("-", "contact of discs and pins", kind="record", default=None)
     bearings: Bearings | None = field("-", "bearings of the cranks", kind="record", default=None)
+    friction: Friction | None = field("-", "friction by place, for `running`", kind="record", default=None)
 
     @property
     def ratio(self) -> float:

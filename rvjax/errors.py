@@ -22,7 +22,8 @@ DISCS, RING = (part(name, stage="cycloid") for name in ("discs", "ring"))
 CRANKS, BEARINGS, CARRIER = (part(name, stage="cranks") for name in ("cranks", "bearings", "carrier"))
 CAM, ROLLERS = (part(name, stage="rollers") for name in ("cam", "rollers"))
 
-LOADED = ("loaded", "life")  # models that read an error
+LOADED = ("loaded", "life", "running")  # models that read an error
+RUNNING = ("running",)
 LINKS = ("four_bar", "dynamics", *LOADED)
 CLEARANCES = ("lost_motion", *LOADED)
 EXCITATION = ("dynamics", *LOADED)
@@ -225,6 +226,19 @@ class RVErrors(Errors):
     )
     support_stiffness: Scalar = deviation(
         "-", "share by which all bearings in the carrier are stiffer", BEARINGS, of="stiffness.support_bearing"
+    )
+    ring_pin_friction: Scalar = deviation("-", "share by which the friction of ring pins is larger", RING, RUNNING)
+    arm_bearing_friction: Scalar = deviation(
+        "-", "share by which the friction of the bearings in the discs is larger", BEARINGS, RUNNING
+    )
+    support_bearing_friction: Scalar = deviation(
+        "-", "share by which the friction of the bearings in the carrier is larger", BEARINGS, RUNNING
+    )
+    gear_mesh_friction: Scalar = deviation(
+        "-", "share by which the loss of the meshes of sun and planets is larger", GEARS, RUNNING
+    )
+    drag_friction: Scalar = deviation(
+        "-", "share by which drags, viscous drags and moments of unloaded bearings are larger", BEARINGS, RUNNING
     )
     sun_flank: Scalar = deviation(
         "m", "flanks of the sun; > 0 is material", SUN, ("dynamics",), shape=("sun_orders", 2), series=True

@@ -15,6 +15,7 @@ MODELS = (
     "rvjax.dynamics",
     "rvjax.loaded",
     "rvjax.life",
+    "rvjax.running",
     "rvjax.geometry",
 )
 """Packages, each with `outputs.DESCRIPTION`, and with `outputs.OTHERS` where another kind of design has other outputs.

@@ -78,10 +78,20 @@ class Reading:
     Attributes:
         sources: what is computed, as named functions: outputs that share a result name the same function.
         take: (*results, design, conditions) -> (value, status).
+        chosen: (conditions) -> the sources that are read under these conditions; None: all.
     """
 
     sources: tuple[Source, ...]
     take: Callable[..., Solved]
+    chosen: Callable[[Any], tuple[Source, ...]] | None = None
+
+    def read(self, given: object) -> tuple[Source, ...]:
+        """Sources that are read.
+
+        Args:
+            given: conditions.
+        """
+        return self.sources if self.chosen is None else self.chosen(given)
 
     def __call__(self, design: Design, errors: PyTree, given: object) -> Solved:
         """The output without the results that it shares."""
@@ -96,10 +106,11 @@ class Reading:
             errors: of its parts.
             given: conditions.
         """
-        for source in self.sources:
+        sources = self.read(given)
+        for source in sources:
             if source not in found:
                 found[source] = source(design, errors, given)
-        return self.take(*(found[source] for source in self.sources), design, given)
+        return self.take(*(found[source] for source in sources), design, given)
 
 
 @dataclass(frozen=True)

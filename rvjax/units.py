@@ -40,6 +40,7 @@ KNOWN: dict[str, dict[str, float]] = {
     "N m s/rad": {"N m s/rad": 1.0},
     "N m/rad": {"N m/rad": 1.0, "N m/arcmin": 1 / arcmin},
     "Pa": {"Pa": 1.0, "MPa": MPa, "GPa": GPa},
+    "W": {"W": 1.0, "kW": 1e3},
     "kg": {"kg": 1.0},
     "kg m2": {"kg m2": 1.0},
     "s": {"s": 1.0, "h": 3600.0},

@@ -62,7 +62,10 @@ def test_every_error_has_a_part_and_is_read_by_the_loaded_model():
     fields = {f.name: f.metadata for f in dataclasses.fields(CycloidalErrors)}
     parts = {about["part"] for about in fields.values()}
     assert parts == {"shaft", "discs", "ring", "carrier", "output_pins", "bearings"} and parts <= set(STAGES)
-    assert all(about["read_by"] == ("loaded", "life") for about in fields.values())
+    own = {name: about["read_by"] for name, about in fields.items()}
+    frictions = {f"{place}_friction" for place in ("ring_pin", "output_pin", "arm_bearing", "drag")}
+    assert {name for name, readers in own.items() if readers == ("running",)} == frictions
+    assert {own[name] for name in own.keys() - frictions} == {("loaded", "life", "running")}
     vectors = {name for name, about in fields.items() if about["vector"]}
     assert vectors == {"pin_offset", "ring_centre", "disc_centre", "hole_position", "output_pin_offset", "shaft_centre",
                        "carrier_centre"}  # fmt: skip

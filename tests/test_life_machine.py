@@ -15,8 +15,9 @@ from loaded_cases import plain
 
 import rvjax
 from rvjax import Bearings, RVErrors, Status, life, study
+from rvjax.life.angles import input_angles
 from rvjax.life.histories import LIFE, WEIBULL
-from rvjax.life.machine import check_plan, input_angles
+from rvjax.life.machine import check_plan
 from rvjax.loaded import BearingForces, admit, bearing_forces, unchecked
 from rvjax.population import Population, drawn, root_key
 from rvjax.records import promote

@@ -32,5 +32,6 @@ COMMANDS = [
     "tradeoff",
     "assemble",
     "compensate",
+    "export",
 ]
 """Every command, in the order of the help."""

@@ -3,6 +3,7 @@
 ISO 281 (rating, life), ISO 76 (static), ISO/TS 16281 (laminae): docs/models/life.md.
 """
 
+from rvjax.life.angles import check_angles as check_angles, input_angles as input_angles
 from rvjax.life.bearing import BearingLife, bearing_life
 from rvjax.life.causes import (
     crank_order as crank_order,
@@ -11,6 +12,13 @@ from rvjax.life.causes import (
     phase_shares as phase_shares,
 )
 from rvjax.life.duty import Duty
+from rvjax.life.histories import magnitude as magnitude
+from rvjax.life.machine import (
+    check_alone as check_alone,
+    check_places as check_places,
+    shared as shared,
+    tapered as tapered,
+)
 from rvjax.life.rated import RatedTorque, rated_torque
 from rvjax.life.rating import Rating, rating
 from rvjax.life.ratings import dynamic_rating, static_rating

@@ -10,13 +10,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import DTypeLike
 
 from rvjax import status
 from rvjax._ground.axes import fit
 from rvjax._jax.elementary import power
 from rvjax._reducer.bearings import Bearings, RollerBearing
 from rvjax.errors import Errors
+from rvjax.life.angles import check_angles, inner_angles
 from rvjax.life.bearing import Looseness, check_method, damaged
 from rvjax.life.histories import WEIBULL, Damage, basic, magnitude
 from rvjax.life.kinds import kind_of
@@ -70,7 +70,6 @@ def tapered(bearings: Bearings, force: jax.Array) -> Equivalent:
 
 
 PLACES = ("disc_position", "planet_position", "support_span")
-_GOLDEN = (np.sqrt(5) - 1) / 2
 _NEAR = 24  # samples of a crank turn from which on neighbours have similar displacements
 
 
@@ -130,13 +129,7 @@ def check_plan(
         raise ValueError(
             f'method = {method!r}: must be "basic" with tapered supports (Bearings.preload, support.contact_angle > 0)'
         )
-    if isinstance(samples, bool) or not isinstance(samples, (int, np.integer)) or samples < 1:
-        raise ValueError(f"samples = {samples!r}: must be an integer of at least 1")
-    crank_turns = round(float(turns) * layout.pins) if np.isfinite(turns) else 0
-    if crank_turns < 1 or abs(float(turns) * layout.pins - crank_turns) > 1e-6:
-        raise ValueError(
-            f"turns = {turns:g}: must be a whole number of crank turns, k / {layout.pins} of the output with k >= 1"
-        )
+    crank_turns = check_angles(samples, turns, layout.pins)
     if concrete(reliability) and not np.all((np.asarray(reliability) > 0) & (np.asarray(reliability) < 1)):
         raise ValueError(f"reliability = {quantity(reliability, '-')}: must lie between 0 and 1")
     return Plan(layout, int(samples), crank_turns, method, kind_of(design).sense(design))
@@ -174,31 +167,6 @@ def check_places(bearings: Bearings, counts: Mapping[str, int], name: str) -> No
     for place in (*PLACES, "preload"):
         if (value := getattr(bearings, place)) is not None:
             fit(f"{name}.{place}", value, ("discs",) if place == "disc_position" else (), counts)
-
-
-def input_angles(plan: Plan, design: PyTree, dtype: DTypeLike) -> jax.Array:
-    """Input angles over the turn of the output, (n,) rad: every crank angle once, each in a crank turn of its own.
-
-    Equally spaced angles alias with the errors, whose loads have the orders of pins and teeth. Eq. 11.
-
-    Args:
-        plan: samples and crank turns.
-        design: its gear ratio is read.
-        dtype: of the result.
-    """
-    order = np.arange(plan.samples)
-    lap = np.floor(plan.crank_turns * ((order * _GOLDEN) % 1))
-    return jnp.asarray(design.ratio * 2 * np.pi * (lap + order / plan.samples) / plan.layout.pins, dtype)
-
-
-def inner_angles(plan: Plan, dtype: DTypeLike) -> jax.Array:
-    """Angle of each crank against disc and carrier at the samples, without whole turns, (n,) rad.
-
-    Args:
-        plan: samples and sense of the cranks.
-        dtype: of the result.
-    """
-    return jnp.asarray(plan.sense * 2 * np.pi * np.arange(plan.samples) / plan.samples, dtype)
 
 
 class Entered(NamedTuple):

@@ -20,10 +20,11 @@ from rvjax.catalogue import RV_40E, part_class
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors, read_by
+from rvjax.life.angles import input_angles
 from rvjax.life.duty import Duty
 from rvjax.life.histories import METHODS
 from rvjax.life.kinds import kind_of
-from rvjax.life.machine import check_alone, check_places, check_plan, input_angles
+from rvjax.life.machine import check_alone, check_places, check_plan
 from rvjax.life.rated import RatedTorque, rated_torque
 from rvjax.life.rating import Rating, by_forces, rating, under
 from rvjax.life.ratings import check_ratings, static_rating

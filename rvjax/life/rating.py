@@ -10,10 +10,11 @@ from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
+from rvjax.life.angles import input_angles
 from rvjax.life.bearing import inverse
 from rvjax.life.duty import Duty, check_phases, revolutions
 from rvjax.life.kinds import KINDS
-from rvjax.life.machine import Entered, Plan, check_plan, damages, entered, input_angles
+from rvjax.life.machine import Entered, Plan, check_plan, damages, entered
 from rvjax.loaded import BearingForces, Read, admit, bearing_forces
 from rvjax.records import PyTree, Record, Scalar, field, record
 from rvjax.status import SolveInfo, Status, succeeded, worst

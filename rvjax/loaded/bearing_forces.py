@@ -1,5 +1,6 @@
-"""Forces of the crank bearings at several input angles and torques: what a bearing life is computed from."""
+"""Equilibria at several input angles, each under several torques; the forces of the crank bearings among them."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -7,13 +8,88 @@ import jax
 import jax.numpy as jnp
 
 from rvjax.loaded.balance import forces
-from rvjax.loaded.case import placed, solve
+from rvjax.loaded.case import Case, placed, solve
 from rvjax.loaded.inputs import Read
 from rvjax.loaded.kinds import named, prepare
 from rvjax.loaded.newton import Found
 from rvjax.loaded.system import Layout
+from rvjax.records import PyTree
 from rvjax.roots import solved
 from rvjax.status import SolveInfo, Status, succeeded
+
+Take = Callable[[Case, jax.Array, jax.Array], PyTree]
+"""(case, displacements (unknowns,), whether it carries) -> what is wanted of an equilibrium. If it does not, forces are
+to count as 0; where an equilibrium failed, its displacements are 0."""
+
+
+class Equilibria(NamedTuple):
+    """At n angles under t torques. The displacements carry no derivative; they are a start for torques near these."""
+
+    taken: PyTree  # leaves (n, t, ...)
+    info: SolveInfo  # (n, t)
+    displacements: jax.Array  # (n, t, unknowns), NaN where an equilibrium failed
+
+
+def equilibria(
+    layout: Layout,
+    read: Read,
+    torques: jax.Array,
+    input_angles: jax.Array,
+    take: Take,
+    start: jax.Array | None = None,
+    *,
+    near: bool = False,
+) -> Equilibria:
+    """Equilibria at every angle under every torque.
+
+    Args:
+        layout: counts and methods.
+        read: finite and possible numbers; its torque and angle are not read.
+        torques: of the discs on the carrier, (t,) N m.
+        input_angles: of the sun, (n,) rad, constants.
+        take: from each equilibrium, with its derivatives.
+        start: displacements (n, t, unknowns) to start from; NaN or None: the linear step, or those at the angle before.
+        near: start from the angle before, because the crank angle differs little.
+    """
+    none = jnp.full((len(torques), layout.unknowns), jnp.nan, torques.dtype)
+    of_torques = jax.lax.stop_gradient(torques)
+
+    def onward(last: jax.Array, at: tuple[jax.Array, jax.Array | None]) -> tuple[jax.Array, tuple[Found, SolveInfo]]:
+        angle, given = at
+        case = jax.lax.stop_gradient(prepare(layout, read, angle))
+
+        def under(torque: jax.Array, start: jax.Array) -> tuple[Found, SolveInfo]:
+            return solve(layout, read, case.loaded(torque), start)
+
+        begin = last if given is None else jnp.where(jnp.isfinite(given), given, last)
+        found, info = jax.vmap(under)(of_torques, begin)
+        here = jnp.where(succeeded(info.status)[:, None], found.q, jnp.nan) if near else none
+        return here, (found, info)
+
+    found, info = solved(jax.lax.scan(onward, none, (input_angles, start))[1])
+    measure = jax.checkpoint(partial(_measure, layout, take))
+    taken = jax.lax.map(lambda x: measure(read, torques, *x), (input_angles, found, info.status))
+    q = jnp.where(succeeded(info.status)[..., None], found.q, jnp.nan)
+    return Equilibria(taken, info, jax.lax.stop_gradient(q))
+
+
+def _measure(
+    layout: Layout,
+    take: Take,
+    read: Read,
+    torques: jax.Array,
+    angle: jax.Array,
+    found: Found,
+    status: jax.Array,
+) -> PyTree:
+    """What is wanted at one angle under every torque, with its derivatives."""
+    case = prepare(layout, read, angle)
+
+    def of_one(torque: jax.Array, found: Found, status: jax.Array) -> PyTree:
+        loaded = case.loaded(torque)
+        return take(loaded, placed(layout, loaded, found, status), status == Status.CONVERGED)
+
+    return jax.vmap(of_one)(torques, found, status)
 
 
 class BearingForces(NamedTuple):
@@ -37,49 +113,22 @@ def bearing_forces(
     *,
     near: bool = False,
 ) -> BearingForces:
-    """Equilibria at every angle under every torque.
+    """Forces of the crank bearings at every angle under every torque: what a bearing life is computed from.
 
     Args:
-        layout: counts and methods.
-        read: finite and possible numbers; its torque and angle are not read.
-        torques: of the discs on the carrier, (t,) N m.
-        input_angles: of the sun, (n,) rad, constants.
-        start: displacements (n, t, unknowns) to start from; NaN or None: the linear step, or those at the angle before.
-        near: start from the angle before, because the crank angle differs little.
+        layout: as in `equilibria`.
+        read: as in `equilibria`.
+        torques: as in `equilibria`.
+        input_angles: as in `equilibria`.
+        start: as in `equilibria`.
+        near: as in `equilibria`.
     """
-    none = jnp.full((len(torques), layout.unknowns), jnp.nan, torques.dtype)
-    of_torques = jax.lax.stop_gradient(torques)
 
-    def onward(last: jax.Array, at: tuple[jax.Array, jax.Array | None]) -> tuple[jax.Array, tuple[Found, SolveInfo]]:
-        angle, given = at
-        case = jax.lax.stop_gradient(prepare(layout, read, angle))
-
-        def under(torque: jax.Array, start: jax.Array) -> tuple[Found, SolveInfo]:
-            return solve(layout, read, case.loaded(torque), start)
-
-        begin = last if given is None else jnp.where(jnp.isfinite(given), given, last)
-        found, info = jax.vmap(under)(of_torques, begin)
-        here = jnp.where(succeeded(info.status)[:, None], found.q, jnp.nan) if near else none
-        return here, (found, info)
-
-    found, info = solved(jax.lax.scan(onward, none, (input_angles, start))[1])
-    measure = jax.checkpoint(partial(_measure, layout))
-    arm, support = jax.lax.map(lambda x: measure(read, torques, *x), (input_angles, found, info.status))
-    q = jnp.where(succeeded(info.status)[..., None], found.q, jnp.nan)
-    return BearingForces(arm, support, info, jax.lax.stop_gradient(q))
-
-
-def _measure(
-    layout: Layout, read: Read, torques: jax.Array, angle: jax.Array, found: Found, status: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """Forces at one angle under every torque, with their derivatives."""
-    case = prepare(layout, read, angle)
-
-    def of_one(torque: jax.Array, found: Found, status: jax.Array) -> tuple[jax.Array, jax.Array]:
-        loaded = case.loaded(torque)
-        q = placed(layout, loaded, found, status)
-        of_names = named(layout, read, loaded, forces(layout, loaded.system, q))
+    def take(case: Case, q: jax.Array, carries: jax.Array) -> tuple[jax.Array, jax.Array]:
+        of_names = named(layout, read, case, forces(layout, case.system, q))
         both = of_names.disc_bearing, of_names.support_bearing
-        return jax.tree.map(lambda force: jnp.where(status == Status.CONVERGED, force, 0), both)
+        return jax.tree.map(lambda force: jnp.where(carries, force, 0), both)
 
-    return jax.vmap(of_one)(torques, found, status)
+    found = equilibria(layout, read, torques, input_angles, take, start, near=near)
+    arm, support = found.taken
+    return BearingForces(arm, support, found.info, found.displacements)

@@ -22,6 +22,7 @@ class Case(NamedTuple):
     length: jax.Array  # () m: the first common unknown over the rotation of the output
     hole_pressure: jax.Array | None = None  # (d, n) Pa / sqrt(N), of output pins
     eccentric: jax.Array | None = None  # (d, 2) direction of the eccentric of each disc
+    size: jax.Array | None = None  # (d, p) S of Eq. 4
     most: jax.Array | None = None  # (j,) N, forces of joints beyond which the theory of their contact fails
 
     def loaded(self, torque: jax.Array) -> "Case":

@@ -111,6 +111,7 @@ def _only_read(layout: Layout, design: CycloidalReducer) -> CycloidalReducer:
         contact=contact.replace(**unread),
         stiffness=springs if _unknowns(layout).floats else springs.replace(output_support=0.0),
         bearings=None,
+        friction=None,
     )
 
 
@@ -221,6 +222,7 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
         length=radius / design.carrier_factor,
         hole_pressure=holes.pressure.reshape(layout.discs, -1),
         eccentric=jnp.stack([b.cosine, b.sine], axis=-1),
+        size=at.ring.size / one,
         most=holes.most,
     )
 

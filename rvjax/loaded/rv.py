@@ -98,6 +98,7 @@ def _only_read(layout: Layout, design: RVReducer) -> RVReducer:
         inertia=None,
         mesh_variation=None,
         bearings=None,
+        friction=None,
         damping=None,
         stiffness=springs.replace(**dict.fromkeys(unread, 1.0)),
         contact=contact,
@@ -235,7 +236,7 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
     )
     # rr^2 / R* is `rounding`, so that 1 / R* = rounding / rr^2.
     pressure = jnp.sqrt(material.squeeze(contact) * rounding) / cycloid.pin_radius
-    return Case(system, at.lever / one, pressure, jnp.asarray(cranks.circle_radius))
+    return Case(system, at.lever / one, pressure, jnp.asarray(cranks.circle_radius), size=at.size / one)
 
 
 def named(layout: Layout, read: Read, case: Case, forces: Forces) -> Named:

@@ -12,6 +12,7 @@ from rvjax.plotting import (
     life,
     loaded,
     mesh_force,
+    running,
 )
 from rvjax.plotting.batches import batch_histograms, error_budget, rejects_against_limit
 from rvjax.plotting.lost_motion import contributions, torque_angle_loop
@@ -49,6 +50,7 @@ __all__ = [
     "pareto",
     "rejects_against_limit",
     "response_histogram",
+    "running",
     "style",
     "torque_angle_loop",
     "trade_front",

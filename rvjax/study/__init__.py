@@ -25,7 +25,7 @@ from rvjax.study.kinds import (
 )
 from rvjax.study.kinds.rv import RATED, TORQUE
 from rvjax.study.nuisances import NUISANCES, part_orders as part_orders
-from rvjax.study.origin import comments as comments
+from rvjax.study.origin import comments as comments, is_assumed as is_assumed
 from rvjax.study.problem import (
     Candidate,
     Problem,
@@ -45,6 +45,7 @@ from rvjax.study.values import (
     integer,
     known,
     naming,
+    quantities as quantities,
     quantity,
     subtable,
 )

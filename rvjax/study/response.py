@@ -132,12 +132,16 @@ class Response(Record):
         """Results, each with its level, that an output shares with others."""
         evaluate = models.kind(self.design).outputs[self._sources()[name]].evaluate
         level = next((level[1:] for level in self.levels if level[0] == name), None)
-        return {(level, source) for source in evaluate.sources} if isinstance(evaluate, Reading) else set()
+        return (
+            {(level, source) for source in evaluate.read(self.conditions)} if isinstance(evaluate, Reading) else set()
+        )
 
     def _joints(self) -> list[Joint]:
-        """Results without a level that are computed together."""
+        """Results without a level that are computed together, of overlapping ways the largest."""
         needed = set().union(*(self._read(name) for name in self.outputs))
-        return [j for j in models.kind(self.design).joints if all((None, source) in needed for source in j.sources)]
+        joints = models.kind(self.design).joints
+        able = [(j, set(j.sources)) for j in joints if all((None, source) in needed for source in j.sources)]
+        return [j for j, own in able if not any(own < other for _, other in able)]
 
     def _sources(self) -> dict[str, str]:
         """The output that is computed for each that is wanted."""

@@ -1,4 +1,4 @@
-"""Content of a page beyond the result: the surrogate behind the sliders, error budget, bearing lives."""
+"""Content of a page beyond the result: the surrogate behind the sliders, error budget, bearing lives, friction."""
 
 from dataclasses import dataclass
 
@@ -7,8 +7,10 @@ from rvjax.commands.allocate import Answer, answer, figures, phases_of, seconds_
 from rvjax.commands.budget import Budget, budget_if_any
 from rvjax.commands.report import surrogate as behind
 from rvjax.commands.report.bearings import bearing_section
+from rvjax.commands.report.friction import friction_section
 from rvjax.commands.report.inputs import Inputs
 from rvjax.commands.report.lives import begin_lives, lives_if_any
+from rvjax.commands.report.losses import begin_losses, losses_if_any
 from rvjax.commands.report.reducer import design_section
 from rvjax.commands.speak import READING, tell, units_placed
 from rvjax.population import Population
@@ -20,13 +22,14 @@ SLIDERS, WRITING = "numbers behind the sliders", "the page"
 
 @dataclass(frozen=True)
 class Shown:
-    """Result with the surrogate, the error budget and the bearing lives of its page.
+    """Result with the surrogate, the error budget, the bearing lives and the friction of its page.
 
     Attributes:
         answer: result of the study.
         surrogate: behind the sliders, None where nothing can move.
         budget: of the allocated tolerances, None where the study has none.
         bearings: on their lives with the allocated tolerances, None where the study requires none.
+        friction: on losses with the allocated tolerances, None where the study requires none.
         design: on the reducer, None: made with the page.
         drawn: figures of the result, none: made with the page.
     """
@@ -35,6 +38,7 @@ class Shown:
     surrogate: behind.Surrogate | None = None
     budget: Budget | None = None
     bearings: Section | None = None
+    friction: Section | None = None
     design: Section | None = None
     drawn: tuple[Figure, ...] = ()
 
@@ -53,7 +57,7 @@ def phases(inputs: Inputs) -> dict[str, float]:
 
 
 def compute(inputs: Inputs) -> Shown | None:
-    """Compute or read the result; compute surrogate, budget and bearing lives. None if the page shows all that."""
+    """Compute or read the result; compute surrogate, budget, lives and losses. None if the page shows all that."""
     if inputs.shown:
         return None
     with units_placed(seconds_of_units(inputs.study) if inputs.answer is None else 0.0) as device:
@@ -68,15 +72,18 @@ def _shown(inputs: Inputs) -> Shown:
     if inputs.answer is not None and is_costly(response):  # else this process has the programs
         begin_programs(response, Population.of(found.after.tolerances), slopes=True)
     begin_lives(inputs.study, found.allocation.tolerances)
+    begin_losses(inputs.study, found.allocation.tolerances)
     design, drawn = design_section(found.study), tuple(figures(found))
     _begin((design, *drawn))
     lives = lives_if_any(inputs.study, found.allocation.tolerances)
     bearings = bearing_section(lives, inputs.study) if lives else None
-    _begin((bearings,) if bearings else ())
+    losses = losses_if_any(inputs.study, found.allocation.tolerances)
+    friction = friction_section(losses, inputs.study) if losses else None
+    _begin(tuple(section for section in (bearings, friction) if section))
     moved = behind.surrogate(found)
     budget = budget_if_any(inputs.study, found.allocation.tolerances)
     progress.begin(WRITING)
-    return Shown(found, moved, budget, bearings, design, drawn)
+    return Shown(found, moved, budget, bearings, friction, design, drawn)
 
 
 def _begin(content: tuple[Content, ...]) -> None:

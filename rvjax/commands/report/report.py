@@ -92,7 +92,7 @@ def page_of(found: Shown, source: str, *, date: str = "") -> str:
     sections += [live.block(found.surrogate, answer)] if found.surrogate else []
     sections += [found.design or design_section(study), _influence(answer, drawn)]
     sections += [section_on(found.budget)] if found.budget else []
-    sections += [found.bearings] if found.bearings else []
+    sections += [section for section in (found.bearings, found.friction) if section]
     sections += [_worst(answer, drawn), _levels(answer)]
     about = dict(study=study.name, author=study.about.author, revision=study.about.revision, computed=date)
     certificate = answer.allocation.certificate

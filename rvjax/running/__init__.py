@@ -1,0 +1,27 @@
+"""Friction of a reducer as built: losses, efficiency, starting and back-driving torque, hysteresis, joint models.
+
+Losses follow from the forces of the loaded equilibrium and exact sliding speeds: docs/models/running.md.
+"""
+
+from rvjax.running.back_driving import BackDriving, back_driving
+from rvjax.running.drag import DragFit, fit_drag
+from rvjax.running.formats.forms import FORMATS as FORMATS
+from rvjax.running.formats.head import Header as Header, units as units
+from rvjax.running.hysteresis import Hysteresis, hysteresis
+from rvjax.running.inputs import SHARES as SHARES
+from rvjax.running.joint import Joint, joint
+from rvjax.running.losses import Losses, losses
+from rvjax.running.sets import Turned as Turned, sign_of as sign_of, turned as turned
+
+__all__ = [
+    "BackDriving",
+    "DragFit",
+    "Hysteresis",
+    "Joint",
+    "Losses",
+    "back_driving",
+    "fit_drag",
+    "hysteresis",
+    "joint",
+    "losses",
+]

@@ -1,0 +1,1 @@
+"""Joint models as text of the files that simulators read, one module for each format."""

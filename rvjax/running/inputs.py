@@ -1,0 +1,191 @@
+"""What every function of friction checks: plan of a call, coefficients of the unit, bearings."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rvjax import status
+from rvjax._ground.choices import choose
+from rvjax.designs import Bearings, Friction, expect
+from rvjax.errors import Errors
+from rvjax.life import check_alone, check_angles, check_places
+from rvjax.loaded import Layout, Read, admit, check_input, unchecked
+from rvjax.records import PyTree, Scalar, concrete, promote, quantity
+from rvjax.running.kinds import KINDS, kind_of
+from rvjax.status import Gate, Status
+
+SHARES = {
+    "ring_pins": "ring_pin_friction",
+    "output_pins": "output_pin_friction",
+    "arm_bearings": "arm_bearing_friction",
+    "support_bearings": "support_bearing_friction",
+    "gear_meshes": "gear_mesh_friction",
+    "arm_bearing_moment": "drag_friction",
+    "support_bearing_moment": "drag_friction",
+    "input_drag": "drag_friction",
+    "output_drag": "drag_friction",
+    "input_viscous": "drag_friction",
+    "output_viscous": "drag_friction",
+}
+"""Error by which each coefficient of a unit is larger than the nominal one."""
+_NEAR = 24  # samples of a crank turn from which on neighbours have similar displacements
+
+
+class Plan(NamedTuple):
+    """Static settings of a program."""
+
+    layout: Layout
+    samples: int
+    crank_turns: int
+
+    @property
+    def near(self) -> bool:
+        """True if the equilibrium at the sample before is a better start than the linear step."""
+        return self.samples >= _NEAR
+
+
+def check_call(
+    where: str,
+    design: PyTree,
+    errors: Errors,
+    friction: Friction | None,
+    supports: tuple[str, str, str],
+    samples: int = 1,
+    turns: float = 1.0,
+) -> tuple[Plan, Friction]:
+    """The plan of a call, and the friction that it takes.
+
+    Args:
+        where: the function, for messages.
+        design: the reducer.
+        errors: of its parts.
+        friction: as given; None for that of the design.
+        supports: contact, carrier and sun, as in `loaded.equilibrium`.
+        samples: angles over the turns.
+        turns: of the output.
+
+    Raises:
+        ValueError: see `losses`.
+    """
+    expect(design, where, *KINDS)
+    layout = check_input(design, errors, *supports)
+    kind = type(design).__name__
+    friction = design.friction if friction is None else friction
+    if not isinstance(friction, Friction):
+        raise ValueError(f"friction = {friction!r}: must be a Friction, or {kind}.friction must be one")
+    bearings: Bearings | None = design.bearings
+    own = kind_of(design)
+    if own.joints != "output_pins" and friction.output_pins is not None:
+        raise ValueError(f"Friction.output_pins: must be None for a {kind}; it has no output pins")
+    if not own.supports:
+        if friction.support_bearings is not None:
+            raise ValueError(
+                f"Friction.support_bearings: must be None for a {kind}; give support_bearing_moment for its shaft"
+            )
+        if concrete(friction.gear_meshes) and friction.gear_meshes != 0:
+            raise ValueError(
+                f"Friction.gear_meshes = {quantity(friction.gear_meshes, '-')}: must be 0 for a {kind}; it has no mesh"
+            )
+        if bearings is not None:
+            check_alone(bearings, kind)
+    for name in ("arm_bearings", "support_bearings"):
+        if getattr(friction, name) is not None and bearings is None:
+            raise ValueError(f"{kind}.bearings = None: Friction.{name} needs them; give Bearings(arm=RollerBearing())")
+    if friction.support_bearings is not None:
+        assert bearings is not None
+        if bearings.support is None:
+            raise ValueError("Bearings.support = None: Friction.support_bearings needs it")
+        check_places(bearings, design.counts, "Bearings")
+    return Plan(layout, int(samples), check_angles(samples, turns, layout.pins)), friction
+
+
+def check_direction(direction: str) -> float:
+    """Sign of a direction.
+
+    Args:
+        direction: "forward" or "backward".
+
+    Raises:
+        ValueError: another word.
+    """
+    choose("direction", direction, ("forward", "backward"))
+    return 1.0 if direction == "forward" else -1.0
+
+
+class Call(NamedTuple):
+    """Numbers that a call reads, harmless where they cannot be."""
+
+    read: Read
+    friction: Friction  # of this unit: nominal coefficients times 1 + share
+    bearings: Bearings | None  # what is read of them, else None
+    speed: jax.Array  # of the output, () rad/s
+    gate: Gate
+
+
+def entered(
+    plan: Plan,
+    design: PyTree,
+    errors: Errors,
+    friction: Friction,
+    torque: Scalar,
+    angle: Scalar = 0.0,
+    speed: Scalar = 0.0,
+) -> Call:
+    """Check the numbers of a call.
+
+    Args:
+        plan: counts and methods.
+        design: the reducer.
+        errors: of its parts.
+        friction: nominal coefficients.
+        torque: of the output, () N m.
+        angle: of the input, () rad.
+        speed: of the output, () rad/s.
+    """
+    read = admit(plan.layout, design, errors, torque, angle)
+    bearings = _read_of(design.bearings, friction)
+    shares = {name: getattr(errors, share, 0.0) for name, share in SHARES.items()}
+    friction, bearings, shares, speed, _ = promote(friction, bearings, shares, speed, read.torque)
+    given = {name: value for name, value in vars(friction).items() if value is not None}
+    finite = [jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves((friction, bearings, shares, speed))]
+    negative = [value < 0 for value in given.values()] + [share < -1 for share in shares.values()]
+    negative += [~(friction.static_factor > 0), friction.gear_meshes >= 1]
+    refused = [
+        (~jnp.all(jnp.stack(finite)), Status.NONFINITE),
+        (jnp.any(jnp.stack(negative)) | _impossible(bearings), Status.INVALID_GEOMETRY),
+    ]
+    unit = unchecked(friction, **{name: given[name] * (1 + shares[name]) for name in SHARES if name in given})
+    numbers = unit, bearings, speed
+    spare = jax.tree.map(jnp.ones_like, numbers)
+    (unit, bearings, of_output), gate = status.admit(numbers, spare, *refused, after=read.gate)
+    return Call(read, unit, bearings, of_output, gate)
+
+
+def _read_of(bearings: Bearings | None, friction: Friction) -> Bearings | None:
+    """The bearings with None in the place of what no coefficient reads."""
+    if bearings is None or (friction.arm_bearings is None and friction.support_bearings is None):
+        return None
+
+    def sizes(bearing: PyTree, coefficient: Scalar | None) -> PyTree:
+        unread = ("roller_diameter", "roller_length", "rating_factor", "capacity", "static_capacity")
+        return None if bearing is None or coefficient is None else unchecked(bearing, **dict.fromkeys(unread))
+
+    support = sizes(bearings.support, friction.support_bearings)
+    kept = unchecked(bearings, arm=sizes(bearings.arm, friction.arm_bearings), support=support)
+    if support is None:
+        return unchecked(kept, disc_position=None, planet_position=None, support_span=None, preload=None)
+    return kept
+
+
+def _impossible(bearings: Bearings | None) -> jax.Array:
+    """True for bearings that cannot exist."""
+    wrong = [jnp.zeros((), bool)]
+    if bearings is not None:
+        wrong += [~(one.pitch_diameter > 0) for one in (bearings.arm, bearings.support) if one is not None]
+        if bearings.support_span is not None:
+            wrong.append(~(bearings.support_span > 0))
+        if bearings.preload is not None and bearings.support is not None:
+            angle = bearings.support.contact_angle
+            wrong.append((bearings.preload < 0) | ~((angle > 0) & (angle < jnp.pi / 2)))
+    return jnp.any(jnp.stack([jnp.asarray(one) for one in wrong]))

@@ -1,0 +1,172 @@
+"""Friction in studies: outputs, conditions, errors of input, and the section of the page.
+
+Oracles: `running.losses` of the same unit, and pencil and paper for the page.
+"""
+
+import jax
+import numpy as np
+import pytest
+
+from rvjax import Friction, RVErrors, models, running, study
+from rvjax.catalogue import CYCLOIDAL_17, RV_40E
+from rvjax.commands.report import friction as page
+from rvjax.commands.report.losses import BAND, SPEEDS, TORQUES, UnitLosses
+from rvjax.loaded import MACHINE
+from rvjax.render import Report
+from rvjax.running import sets
+from rvjax.study.response import Response
+
+FRICTION = Friction(ring_pins=0.05, output_pins=0.04, arm_bearings=0.002, input_drag=0.01, input_viscous=1e-4)
+DRIVE = CYCLOIDAL_17.replace(friction=FRICTION)
+TEXT = """
+[design]
+base = "cycloidal-17"
+{design}
+[conditions]
+{conditions}
+[tolerances.ring_pin_friction]
+half_width = 0.4
+[requirement.{name}]
+{limit}
+"""
+SET = 'friction = {ring_pins = 0.05, output_pins = 0.05, input_drag = "0.01 N m"}'
+LOAD, SPEED = 'output_torque = "8.8 N m"\n', 'output_speed = "20 rpm"\n'
+
+
+def text(name, design=SET, conditions=LOAD + SPEED, limit='upper = "1 N m"'):
+    return TEXT.format(design=design, conditions=conditions, name=name, limit=limit)
+
+
+def test_outputs_are_the_losses_of_the_unit():
+    """The output turns backwards, so a positive torque drives the input."""
+    given = models.kind(DRIVE).conditions(output_torque=8.8, output_speed=-2.0, running_samples=6)
+    names = ("efficiency", "backward_efficiency", "starting_torque", "no_load_torque", "power_loss")
+    errors = DRIVE.error_record(pin_radius=3e-6, ring_pin_friction=0.3)
+    found = jax.jit(Response.of(DRIVE, names, given))(errors)
+    due = running.losses(DRIVE, errors, output_torque=8.8, output_speed=-2.0, samples=6)
+    for name in names:
+        np.testing.assert_allclose(found.value[name], getattr(due, name), rtol=1e-9, err_msg=name)
+    assert found.value["efficiency"] > 0.5 and found.value["power_loss"] > 0
+
+
+SETS = [
+    (8.8, ("efficiency",), (8.8,)),
+    (-8.8, ("backward_efficiency",), (-8.8,)),
+    (8.8, ("starting_torque", "no_load_torque"), (0.0,)),
+    (8.8, ("power_loss", "efficiency"), (8.8,)),
+    (-8.8, ("power_loss", "starting_torque"), (0.0, -8.8)),
+    (8.8, ("starting_torque", "efficiency", "backward_efficiency"), (0.0, 8.8, -8.8)),
+]
+
+
+@pytest.mark.parametrize(("torque", "names", "due"), SETS)
+def test_outputs_pay_for_the_equilibria_that_they_read(monkeypatch, torque, names, due):
+    asked = []
+    real = sets.turned
+    monkeypatch.setattr(sets, "turned", lambda d, e, g, torques: asked.append(torques) or real(d, e, g, torques))
+    given = models.kind(DRIVE).conditions(output_torque=torque, output_speed=1.0, running_samples=2)
+    jax.eval_shape(Response.of(DRIVE, names, given), DRIVE.error_record())
+    assert asked == [due]
+
+
+REFUSED = [
+    (dict(name="efficiency", design="", limit="lower = 0.8"), "design.friction is missing: efficiency needs it"),
+    (
+        dict(name="starting_torque", design=SET.replace("= {", "= {support_bearings = 0.1, ")),
+        "support_bearings: must be",
+    ),
+    (dict(name="starting_torque", design=SET.replace("= {", "= {gear_meshes = 0.1, ")), "gear_meshes = 0.1: must be 0"),
+    (
+        dict(name="starting_torque", design=SET.replace("0.05", "-0.05", 1)),
+        "ring_pins = -0.05: must be zero or positive",
+    ),
+    (
+        dict(name="efficiency", conditions=SPEED, limit="lower = 0.8"),
+        "conditions.output_torque = 0 N m: must not be 0; an efficiency needs a torque",
+    ),
+    (dict(name="efficiency", conditions=LOAD, limit="lower = 0.8"), "output_speed is missing: efficiency needs it"),
+    (dict(name="no_load_torque", conditions=LOAD), "conditions.output_speed is missing: no_load_torque needs it"),
+    (
+        dict(name="power_loss", conditions=LOAD + 'output_speed = "0 rpm"\n', limit='upper = "1 kW"'),
+        "conditions.output_speed = 0 rad/s: must not be 0",
+    ),
+    (dict(name="power_loss", limit='upper = "1 N m"'), "'N m'.* is not one of W, kW"),
+    (dict(name="starting_torque", conditions='span = "crank_turn"\n'), "conditions.span = 'crank_turn': no response"),
+    (dict(name="starting_torque", conditions="running_samples = 0\n"), "running_samples = 0: must be an integer"),
+]
+
+
+@pytest.mark.parametrize(("changes", "words"), REFUSED, ids=[words[:40] for _, words in REFUSED])
+def test_what_a_study_of_friction_refuses(changes, words):
+    with pytest.raises(study.StudyError, match=words) as raised:
+        study.parse_study(text(**changes), name="x", solve=False)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_study_reads_shares_units_and_the_parts_of_friction():
+    found = study.parse_study(text("power_loss", limit='upper = "0.2 kW"\ntarget = 0.99'), name="x", solve=False)
+    assert found.requirements["power_loss"].upper == 200 and found.read_in["power_loss"] == "kW"
+    assert found.conditions.running_samples == 24 and found.conditions.output_speed == pytest.approx(2 * np.pi / 3)
+    assert float(found.tolerances.ring_pin_friction.upper) == 0.4
+    assert {"friction.ring_pins", "friction.output_pins"} <= {number.path for number in found.numbers}
+    assert "0.33 L^2" in found.left_out[0] and "lubricant film" in found.left_out[0]
+    assert (
+        study.parse_study(text("starting_torque", conditions=""), name="x", solve=False).conditions.output_speed is None
+    )
+
+
+def test_an_rv_reducer_needs_the_bearings_that_its_friction_names():
+    given = models.kind(MACHINE).conditions(output_torque=412.0, output_speed=1.0)
+    bare = MACHINE.replace(bearings=None, friction=Friction(arm_bearings=0.002))
+    with pytest.raises(ValueError, match=r"bearings = None: Friction.arm_bearings needs them"):
+        Response.of(bare, ("efficiency",), given)
+    with pytest.raises(ValueError, match=r"design.stiffness is missing: efficiency needs it, with sun_support"):
+        Response.of(RV_40E.replace(stiffness=None, friction=Friction()), ("efficiency",), given)
+    assert isinstance(bare.error_record(), RVErrors)
+
+
+def losses():
+    """Five units whose losses are 12 N m + (5 + k) % of the torque, k from 0; 8 N m of drag at 1.5 rad/s."""
+    torque, k = 100.0 * np.array(TORQUES), np.arange(5.0)[:, None]
+    places = {
+        "ring_pins": 4 + (0.05 + 0.01 * k) * torque,
+        "output_pins": np.zeros((5, 8)),
+        "drag": np.full((5, 8), 8.0),
+    }
+    under = {name: each[:, TORQUES.index(1.0)] for name, each in places.items()}
+    speeds = 1.5 * np.array(SPEEDS)
+    return UnitLosses(torque, 100.0, 1.5, speeds, places, under, np.full(5, 2.0), failed=1, samples=6)
+
+
+def test_the_section_of_the_page():
+    found = losses()
+    np.testing.assert_allclose(found.efficiency[1, 2, 5], 100 / (100 + 12 + 7))
+    np.testing.assert_allclose(found.efficiency[2, 2, 5], 100 / (100 + 12 + 7 + 3 * 1.5 * 2))  # four times the speed
+    np.testing.assert_allclose(found.proportion[2, 5], 0.11)
+    low, median, high = (100 * np.quantile(100 / (112 + np.arange(6, 10)), share) for share in BAND)
+    question = study.parse_study(
+        text("efficiency", design='friction.ring_pins = 0.05 # rig of 2025\nfriction.output_pins = 0.04 # assumed',
+             limit="lower = 0.8"), name="x", solve=False,
+    )  # fmt: skip
+    said = Report("", (page.friction_section(found, question),)).text()
+    assert f"{median:.1f} [{low:.1f}, {high:.1f}]" in said
+    lines = said.splitlines()
+    rows = {line.split("  ")[0]: line for line in reversed(lines)}  # the first of each name
+    assert "output pins" not in [line[:11] for line in lines[: lines.index(rows["sum"])]]
+    assert rows["ring pins"].split()[2:6] == ["9", "11.5", "59.0", "%"]  # of 4 + 5 %, and of 4 + 7.5 %, of 100 N m
+    assert rows["sum"].split()[1:3] == ["17", "19.5"]
+    assert "L = 0.11 in the median unit" in said
+    assert "warning: L is above 0.25 at 20 N m and below" in said  # L = 0.075 + 4/T
+    friction = said[said.index("Friction of the study") :]
+    assert "rig of 2025" in friction and "-40 to +40 %" in friction
+    assert "assumed (usual: 0.03 to 0.10, assumed)" in friction
+    assert "Not modelled: friction (first order" in said and "1 further units have no value" in said
+
+
+def test_a_unit_without_any_loss_has_no_shares():
+    nothing = losses()
+    for each in (*nothing.places.values(), *nothing.under.values()):
+        each[:] = 0
+    question = study.parse_study(text("efficiency", limit="lower = 0.8"), name="x", solve=False)
+    said = Report("", (page.friction_section(nothing, question),)).text()
+    assert "nan" not in said and "100.0 [100.0, 100.0]" in said
