@@ -12,6 +12,7 @@ from cycloidal_cases import CASES, NAMED, design_of, dictionaries, drawn, errors
 from oracles import cycloidal as oracle
 from rvjax import CycloidalErrors, RVErrors, catalogue, loaded
 from rvjax.catalogue import RV_40E_WHOLE as rv
+from rvjax.geometry import squared_pressure
 from rvjax.loaded import material, unchecked
 from rvjax.status import Status, succeeded
 
@@ -329,7 +330,7 @@ def test_batches_and_what_is_refused():
 def test_pins_of_another_material_in_an_rv_reducer():
     """The same material written out changes nothing; softer pins: p^2/F falls with s1 + s2, as does the stiffness."""
     same = rv.contact.replace(pin_young_modulus=206e9, pin_poisson_ratio=0.3)
-    for number in (material.plane, material.squeeze, lambda contact: material.level(contact, 0.02)):
+    for number in (material.plane, squared_pressure, lambda contact: material.level(contact, 0.02)):
         np.testing.assert_allclose(number(same), number(rv.contact), rtol=1e-14)
     soft = same.replace(pin_young_modulus=206e9 / 3)
     one, found = (solve(rv.replace(contact=contact), RVErrors(), 1.0, 400.0) for contact in (same, soft))
