@@ -14,6 +14,7 @@ from rvjax import CycloidalErrors, RVErrors, catalogue, loaded
 from rvjax.catalogue import RV_40E_WHOLE as rv
 from rvjax.geometry import squared_pressure
 from rvjax.loaded import material, unchecked
+from rvjax.records import concrete
 from rvjax.status import Status, succeeded
 
 FAST = (
@@ -151,6 +152,9 @@ def c17(member="carrier", **errors):
 
 
 def solve(design, errors, angle=0.7, torque=13.2, **methods):
+    """Of arrays, which no constructor makes Python numbers: a changed case has the program of the others."""
+    if isinstance(errors, CycloidalErrors) and concrete(*jax.tree.leaves(errors)):
+        design, errors = placed(design, errors)
     return loaded.equilibrium(design, errors, input_angle=float(angle), output_torque=float(torque), **methods)
 
 
