@@ -8,7 +8,6 @@ so that records can be stacked, vmapped and differentiated. So does a record of 
 import dataclasses
 import inspect
 import operator
-import sys
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, TypeVar, dataclass_transform
 
@@ -107,12 +106,17 @@ class Record:
     __dataclass_fields__: ClassVar[dict[str, Field]]  # `@record` makes it a dataclass
 
     def replace(self, **changes: object) -> Self:
-        """Return a copy with some fields changed, checked like a new record."""
-        known = {f.name for f in dataclasses.fields(self)}
+        """Return a copy with some fields changed, checked like a new record; axes and flags stay what they are."""
+        values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         for name in changes:
-            if name not in known:
-                raise unknown(f"{type(self).__name__} has no field {name!r}", name, sorted(known), "; it has")
-        return dataclasses.replace(self, **changes)
+            if name not in values:
+                raise unknown(f"{type(self).__name__} has no field {name!r}", name, sorted(values), "; it has")
+        if not (_without_numbers(self, values) and _without_numbers(self, values | changes)):
+            return dataclasses.replace(self, **changes)
+        made = object.__new__(type(self))
+        for name, value in (values | changes).items():
+            object.__setattr__(made, name, value)
+        return made
 
     def to_pandas(self, batch: tuple[str, ...] = (), *, along: str | None = None) -> "DataFrame":
         """A `pandas.DataFrame`, SI: one row for each unit, one column for each number; units in `attrs["units"]`.
@@ -312,18 +316,25 @@ def _checked(owner: str, f: Field, value: PyTree) -> PyTree:
 
 
 def _specifies(item: Record) -> bool:
-    """Return true for axes, flags or None in the place of numbers, as `in_axes` and masks have them.
+    """Return true for axes in the place of numbers, as `in_axes` has them: a number that is required is None.
 
-    A number that is required is None, or `dataclasses.replace` copies a record that no constructor has checked.
+    Whole numbers without None are numbers of a part; `Record.replace` knows of a copy what they are.
     """
-    fields = [f for f in dataclasses.fields(item) if f.metadata["kind"] not in ("count", "text")]
-    if not fields or not all(_no_number(getattr(item, f.name)) for f in fields):
-        return False
-    if any(getattr(item, f.name) is None and f.default is not None for f in fields):
-        return all(isinstance(leaf, int) for leaf in jax.tree.leaves(item))
-    code = (frame := sys._getframe(3)).f_code  # beyond __post_init__ and __init__
-    source = frame.f_locals.get("obj", frame.f_locals.get("self")) if code.co_filename == dataclasses.__file__ else None
-    return type(source) is type(item) and all(_no_number(getattr(source, f.name)) for f in fields)
+    values = {f.name: getattr(item, f.name) for f in dataclasses.fields(item)}
+    return (
+        _without_numbers(item, values)
+        and any(values[f.name] is None and f.default is not None for f in _numeric(item))
+        and all(isinstance(leaf, int) for leaf in jax.tree.leaves(item))
+    )
+
+
+def _numeric(item: Record) -> list[Field]:
+    return [f for f in dataclasses.fields(item) if f.metadata["kind"] not in ("count", "text")]
+
+
+def _without_numbers(item: Record, values: Mapping[str, PyTree]) -> bool:
+    fields = _numeric(item)
+    return bool(fields) and all(_no_number(values[f.name]) for f in fields)
 
 
 def _no_number(value: PyTree) -> bool:

@@ -7,20 +7,9 @@ import numpy as np
 import pytest
 
 from rvjax.compensation import correction, predicted, read, residual, schedule
-from rvjax.compensation.table import significant
-from rvjax.identify import Orders
 from rvjax.units import arcsec
 
 RATIO = 121.0
-
-
-def test_noise_alone_shows_an_order_with_the_stated_chance():
-    """4000 curves of 40 orders of noise; 0.05 +- 4 sqrt(0.05 0.95/4000)."""
-    rng, order = np.random.default_rng(0), np.arange(1, 41)
-    noise = 0.3 * (rng.standard_normal((4000, 40)) + 1j * rng.standard_normal((4000, 40)))
-    curves = (Orders(order, row, np.full(40, 0.3), 0.0, 1.0) for row in noise)
-    shown = np.mean([significant(curve, 0.05).size > 0 for curve in curves])
-    assert shown == pytest.approx(0.05, abs=0.014)
 
 
 def test_the_interval_of_noise_has_both_tails_of_rayleigh():

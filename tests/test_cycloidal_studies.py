@@ -11,7 +11,7 @@ from fractions import Fraction
 import pytest
 from scipy import stats
 
-from rvjax import cli, models, study
+from rvjax import cli, levels, models, study
 from rvjax.catalogue import CYCLOIDAL_17, CYCLOIDAL_29
 from rvjax.commands.init import compute as init
 from rvjax.study.kinds import cycloidal, facts_of
@@ -174,6 +174,10 @@ def test_lives_that_no_study_of_a_drive_can_have(design, words):
         asked += '[[duty]]\noutput_torque = "8.8 N m"\noutput_speed = "15 rpm"\ntime = "1 h"\n'
     with pytest.raises(study.StudyError, match=words):
         study.parse_study(asked, name="x", solve=False)
+    if design:  # levels of an RV reducer are none of a drive, whose conditions have no sun
+        made = study.parse_study(asked.replace(design, ""), name="x", solve=False)
+        given = levels.as_given(made.design, ("life",), made.conditions, tolerances=made.tolerances)
+        assert given["life"].level == "as in the conditions"
 
 
 def test_figures_of_the_geometry():

@@ -102,7 +102,7 @@ def test_a_record_of_axes_works_as_a_dict_does():
     zeros = jax.tree.map(lambda _: 0, errors)  # no None: only the copied record shows what its numbers are
     stacked = jax.tree.map(lambda leaf: jnp.stack([jnp.asarray(leaf)] * 3), errors)
     object.__setattr__(stacked, "crank_eccentricity", three.transpose(1, 0, 2))
-    moved = dataclasses.replace(zeros, crank_eccentricity=1)
+    moved = zeros.replace(crank_eccentricity=1)
     np.testing.assert_array_equal(jax.vmap(lambda e: e.crank_eccentricity.sum(), (moved,))(stacked), [6.0, 22.0, 38.0])
     out = jax.vmap(lambda x: errors.replace(crank_eccentricity=x), out_axes=axes[0].replace(crank_eccentricity=2))
     assert out(three).crank_eccentricity.shape == (2, 2, 3)
@@ -119,7 +119,7 @@ def test_a_record_of_axes_works_as_a_dict_does():
 
 def test_a_record_of_flags_is_a_mask():
     flags = jax.tree.map(lambda _: False, RVErrors())
-    mask = dataclasses.replace(flags, pin_radius=True)
+    mask = flags.replace(pin_radius=True)
     chosen = jax.tree.map(lambda keep, value: value if keep else 0.0, mask, RVErrors(pin_radius=1.0, eccentricity=2.0))
     assert (chosen.pin_radius, chosen.eccentricity) == (1.0, 0.0)
 
@@ -127,7 +127,7 @@ def test_a_record_of_flags_is_a_mask():
 def test_numbers_among_axes_are_checked_as_ever():
     """One real number makes data of a record, with whole numbers beside it; text is no axis."""
     zeros = jax.tree.map(lambda _: 0, RVErrors())
-    assert type(dataclasses.replace(zeros, pin_radius=1 * um).eccentricity) is float
+    assert type(zeros.replace(pin_radius=1 * um).eccentricity) is float
     whole = RVErrors(**dict.fromkeys((f.name for f in dataclasses.fields(zeros)), 0))  # no copy: numbers of a part
     assert {type(leaf) for leaf in jax.tree.leaves(whole)} == {float}
     for changes in (dict(bearing_clearance=-1.0), dict(bearing_clearance="1 um")):

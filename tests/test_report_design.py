@@ -68,13 +68,18 @@ def test_sources_are_whole_sentences():
     assert catalogue.citation("rv-320e").startswith("RV-320E: Yang, Chen, Wang") and catalogue.citation("x") == ""
 
 
-def test_the_section_shows_numbers_drawing_and_what_follows():
-    question = study.load("rv-40e", solve=False)
+RV = ("64 mm", "ratio", "105", "K1", "0.8125", "anonymous web article", "1.3 mm", "from")
+RV += ("2 cranks on a circle of 72 mm", "40 pins of 6 mm")
+DRIVE = ("85 mm", "17:1, output opposite to the input", "in holes of 8.3 mm", "an open robot arm", "member", "carrier")
+
+
+@pytest.mark.parametrize(("base", "told"), [("rv-40e", RV), ("cycloidal-17", DRIVE)])
+def test_the_section_shows_numbers_drawing_and_what_follows(base, told):
+    question = study.load(base, solve=False)
     page = Report("x", (design_section(question),)).html()
-    for words in ("64 mm", "ratio", "105", "K1", "0.8125", "anonymous web article", "1.3 mm", "from"):
+    for words in told:
         assert words in page, words
     assert page.count("<img") == 1 and page.count("<strong>assumed</strong>") == len(question.assumed)
-    assert "2 cranks on a circle of 72 mm" in page and "40 pins of 6 mm" in page
     corr = Report("x", (design_section(study.load("corr", solve=False)),))
     assert not any(isinstance(part, Figure) for part in corr.parts())  # nothing draws it
 

@@ -1,7 +1,4 @@
-"""A correction as equal steps over one output turn, which a controller interpolates linearly.
-
-Orders of a measured curve that are more than noise.
-"""
+"""A correction as equal steps over one output turn, which a controller interpolates linearly."""
 
 import dataclasses
 import math
@@ -11,17 +8,6 @@ import numpy as np
 from rvjax._ground.choices import choose
 from rvjax._jax.arguments import checked
 from rvjax.compensation.correction import Correction
-from rvjax.identify import Orders
-
-
-def significant(found: Orders, chance: float = 0.001) -> np.ndarray:
-    """Positions of the orders that exceed noise; with this chance at least one of them is noise (s,).
-
-    |value|^2/(2 sd^2) of pure noise is exponential; k orders pass ln(k/chance) with that chance at most.
-    """
-    level = np.log(max(len(found.order), 1) / chance)
-    return np.flatnonzero(np.abs(found.value) ** 2 > 2 * found.sd**2 * level)
-
 
 SIDES = ("input", "output")
 

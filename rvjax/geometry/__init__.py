@@ -6,6 +6,6 @@ from rvjax._reducer.flank import (
     relative_radius as relative_radius,
 )
 from rvjax.geometry.figures import Figures, contact_ratio as contact_ratio, figures
-from rvjax.geometry.ring import material as material
+from rvjax.geometry.ring import material as material, squared_pressure as squared_pressure
 
 __all__ = ["Figures", "figures"]

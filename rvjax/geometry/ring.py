@@ -116,14 +116,14 @@ def pressure(cycloid: CycloidStage, ground: Ground, contact: Contact, disc_torqu
 
 
 def squared_pressure(contact: Contact) -> Array:
-    """Square of the pressure for a force 1 N and a relative radius 1 m, Pa^2: 1/(pi L (s1 + s2)), s = (1 - nu^2)/E.
+    """Square of the largest pressure for 1 N and a relative radius of 1 m, Pa/m: 1/(pi L (s1 + s2)), s = (1 - nu^2)/E.
 
     Args:
         contact: of discs and pins.
     """
     if contact.pin_young_modulus is None:  # 2 s1, in the order of operations of one material
-        flat = 1 - contact.poisson_ratio**2
-        return jnp.asarray(contact.young_modulus / (2 * jnp.pi * contact.face_width * flat))
+        stiff = contact.young_modulus * contact.face_width / (1 - contact.poisson_ratio**2)
+        return jnp.asarray(stiff / (2 * jnp.pi * contact.face_width**2))
     disc, pin = contact.compliances
     return jnp.asarray(1 / (jnp.pi * contact.face_width * (disc + pin)))
 

@@ -169,11 +169,13 @@ def _same(given: object, measured: object) -> bool:
 
 
 def _known(models: Iterable[Model], output: str, conditions: object) -> list[Model]:
-    """Models with this output, measured with the conditions of the study."""
+    """Models with this output, measured with the conditions of the study; none of a reducer with other conditions."""
     return [
         model
         for model in models
-        if output in model.outputs and all(getattr(conditions, name) == value for name, value in model.question.items())
+        if output in model.outputs
+        and all(hasattr(conditions, name) for name in model.conditions)
+        and all(getattr(conditions, name) == value for name, value in model.question.items())
     ]
 
 

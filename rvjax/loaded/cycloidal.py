@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
-from rvjax.geometry import material as of_contact
+from rvjax.geometry import material as of_contact, squared_pressure
 from rvjax.loaded import material
 from rvjax.loaded.balance import Forces
 from rvjax.loaded.case import Case, Named, under
@@ -158,7 +158,7 @@ def _pressure(design: CycloidalReducer, radius: jax.Array) -> jax.Array:
     """Largest Hertzian pressure over the square root of a force; Eq. 11."""
     contact = design.contact
     assert contact is not None
-    return jnp.sqrt(material.squeeze(contact) / radius)
+    return jnp.sqrt(squared_pressure(contact) / radius)
 
 
 def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:

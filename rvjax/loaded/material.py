@@ -33,15 +33,3 @@ def level(contact: Contact, rounding: jax.Array) -> jax.Array:
     return jnp.asarray(
         jnp.log(4 * jnp.pi * contact.face_width / whole * rounding) - (pin + disc * nu / (1 - nu)) / whole
     )
-
-
-def squeeze(contact: Contact) -> jax.Array:
-    """1/(pi L (s1 + s2)), Pa/m: square of the largest pressure for 1 N and a relative radius of 1 m; Eq. 24.
-
-    Args:
-        contact: of discs and pins.
-    """
-    if contact.pin_young_modulus is None:
-        stiff = contact.young_modulus * contact.face_width / (1 - contact.poisson_ratio**2)
-        return jnp.asarray(stiff / (2 * jnp.pi * contact.face_width**2))
-    return jnp.asarray(1 / (jnp.pi * contact.face_width * sum(contact.compliances)))

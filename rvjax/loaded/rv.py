@@ -14,7 +14,7 @@ import numpy as np
 
 from rvjax.designs import Contact, RVReducer
 from rvjax.errors import RVErrors
-from rvjax.geometry import material as of_contact
+from rvjax.geometry import material as of_contact, squared_pressure
 from rvjax.loaded import material
 from rvjax.loaded.balance import Forces
 from rvjax.loaded.case import Case, Named
@@ -235,7 +235,7 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
         load=1 / cranks.circle_radius,
     )
     # rr^2 / R* is `rounding`, so that 1 / R* = rounding / rr^2.
-    pressure = jnp.sqrt(material.squeeze(contact) * rounding) / cycloid.pin_radius
+    pressure = jnp.sqrt(squared_pressure(contact) * rounding) / cycloid.pin_radius
     return Case(system, at.lever / one, pressure, jnp.asarray(cranks.circle_radius), size=at.size / one)
 
 

@@ -19,7 +19,7 @@ def design_section(study: Study) -> Section:
     if study.assumed:
         parts.append(Note("Values marked assumed are not published: the result depends on them."))
     if study.base:
-        parts.append(Note(f"{study.base} is {catalogue.citation(study.base)}"))
+        parts.append(Note(f"Base {study.base}. {catalogue.citation(study.base)}"))
     columns = [Text("number"), Text("value", wraps=True), Text("from", wraps=True), Text("note")]
     listed = Table("design", columns, rows)
     numbers = Section("", (listed,), fold=f"All {len(rows)} numbers of the design and their sources")
@@ -27,7 +27,9 @@ def design_section(study: Study) -> Section:
 
 
 def _value(value: PyTree, unit: str) -> str:
-    """A number of a design with its unit; of an array the elements."""
+    """A number of a design with its unit, or a word; of an array the elements."""
+    if isinstance(value, str):
+        return value
     if getattr(value, "shape", ()) or isinstance(value, list | tuple):
         return ", ".join(_value(item, unit) for item in value)
     return shown(value, unit) if unit != "-" else f"{float(value):.6g}"
