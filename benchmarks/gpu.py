@@ -3,7 +3,7 @@
     JAX_PLATFORMS=cuda,cpu python -m benchmarks.gpu [--only rv-40e-whole] [--seconds 180] [--json FILE]
 
 Values and statuses of the same units are compared before anything is timed. Commands run with an empty folder of kept
-programs, then with what that run has kept; each figure has its goal beside it. A command is ended when the time is
+programs, then with what that run has kept; each figure comes with its goal. A command is ended when the time is
 over, later ones are left out. It needs a JAX that supports the GPU.
 """
 
