@@ -1,9 +1,9 @@
 """Sizes of blocks and calls, and rows filled up to such a size.
 
 A block is what a loop of a program computes together, a call what the host gives to a program together. Both depend on
-the platform: a block's arrays fit the cache of a core, and a GPU runs 17,000 of its lanes at once. The size of a block
+the platform: the arrays of a block fit the cache of a core, and a GPU computes 17,000 cases at once. The size of a block
 is read where a program is lowered, that of a call where its arrays are placed. A process with a GPU may compute on its
-processor, so neither asks for the default of the process.
+processor, so neither follows the default of the process.
 """
 
 import sys
@@ -38,7 +38,7 @@ class lowering:
 
 
 def for_processor() -> bool:
-    """True where a program is traced for a processor, and where nobody says for what."""
+    """True where a program is traced for a processor, and outside of `lowering`."""
     return bool(_lowered_for.value == CPU)
 
 
@@ -99,14 +99,14 @@ SOLVED = Size(256, 4096)
 SLOPED = Size(256, 2048)
 """Units whose gradients are formed together: few, because a reverse pass keeps all intermediate values of a unit."""
 
-# Units that a method takes together on every platform, so that its answer is the same on all.
+# Units that a method takes together on every platform, so that its result is the same on all.
 CHUNK = 32_768
 """Units of a chunk of Monte Carlo: the temporaries of a revolution of 64 angles stay near the cache."""
 BLOCK = 4096
 """Default number of units at once: the same everywhere, so that a response is compiled for it once; temporaries of
 a response over many angles then fit the cache. A four-bar unit takes no longer than in blocks of 16,384."""
 AT_ONCE = 256
-"""Costly units of a sample, and units whose curves are drawn."""
+"""Costly units of a sample, and units with plotted curves."""
 PULLED = 256
 """Units behind one gradient of a method."""
 CORNERS = 64

@@ -195,7 +195,7 @@ def _spread(leaf: object) -> jax.sharding.Sharding | None:
 
 
 def _lowered_for(platform: str) -> str:
-    """Name of a platform in `jax.export`, which tells apart what JAX calls "gpu"."""
+    """Name of a platform in `jax.export`, which has two for "gpu"."""
     if platform != "gpu":
         return platform
     return "rocm" if "rocm" in jax.local_devices(backend=platform)[0].client.platform_version.lower() else "cuda"

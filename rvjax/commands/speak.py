@@ -22,7 +22,12 @@ _GPU_GAINS = 5.0
 
 
 def may_use_gpu(command: str, processes: int) -> bool:
-    """True if JAX has a GPU, as far as its packages say, and one process of such a command computes many units."""
+    """True if JAX has a GPU, as far as its packages say, and one process of such a command computes many units.
+
+    Args:
+        command: its name.
+        processes: that share its units.
+    """
     return command in ("allocate", "montecarlo", "report") and processes == 1 and find_spec("jax_plugins") is not None
 
 
