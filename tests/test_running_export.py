@@ -46,7 +46,7 @@ def written(form, **changes):
 def test_json_holds_every_number_with_its_unit():
     found = json.loads(written("json", damping=None))
     assert found["format"] == "rvjax-joint" and found["version"] == 1
-    assert (found["study"], found["unit"], found["rvjax"]) == HEADER
+    assert (found["study"], found["unit"], found["rvjax"]) == ("rv--40e", "nominal", "0.2")
     assert {name: found[name] for name in NUMBERS} == {**NUMBERS, "damping": None}
     assert found["units"]["half_backlash"] == "rad" and set(found["units"]) == set(NUMBERS)
     assert found["not_represented"] == [
