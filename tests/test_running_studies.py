@@ -3,6 +3,10 @@
 Oracles: `running.losses` of the same unit, and pencil and paper for the page.
 """
 
+import re
+import tomllib
+from pathlib import Path
+
 import jax
 import numpy as np
 import pytest
@@ -170,3 +174,14 @@ def test_a_unit_without_any_loss_has_no_shares():
     question = study.parse_study(text("efficiency", limit="lower = 0.8"), name="x", solve=False)
     said = Report("", (page.friction_section(nothing, question),)).text()
     assert "nan" not in said and "100.0 [100.0, 100.0]" in said
+
+
+def test_the_study_of_the_docs():
+    text = (Path(__file__).parent.parent / "docs" / "friction.md").read_text("utf-8")
+    first, unit = re.findall(r"^```toml\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    found = study.parse_study(first, name="docs", solve=False)
+    assert set(found.requirements) == {"starting_torque", "efficiency"} and found.doubts == []
+    assert {number.path for number in found.numbers if number.assumed} >= {"friction.ring_pins", "friction.output_drag"}
+    assert study.kind_of(found.design).name == "an RV reducer" and set(tomllib.loads(unit)["errors"]) <= set(
+        vars(found.design.error_record())
+    )

@@ -103,8 +103,8 @@ def _moving(given: Any) -> None:
 SPEED = ("output_speed",)
 UNKNOWN = (
     "friction (first order: true losses differ by 0.33 L^2 of the torque, L = loss without drag over torque): "
-    "temperature, lubricant film, wear, run-in, stick-slip, rolling of the pins, churning that is not linear in the "
-    "speed, change of the forces by friction; coefficients are inputs that makers do not publish"
+    "temperature, lubricant film, wear, run-in, sticking and sliding in turn, rolling of the pins, churning that is "
+    "not linear in the speed, change of the forces by friction; coefficients are inputs that makers do not publish"
 )
 DESCRIPTION = Description(
     name="running",

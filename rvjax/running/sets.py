@@ -117,24 +117,25 @@ def together(sources: tuple[Source, ...], design: PyTree, errors: PyTree, given:
         errors: as in `turned`.
         given: conditions.
     """
-    own = dict(zip((idle, forward, backward), torques_of(given)))
+    own: dict[Source, float] = dict(zip((idle, forward, backward), torques_of(given)))
     return turned(design, errors, given, tuple(own[source] for source in sources))
 
 
 def driven_back(design: PyTree, errors: PyTree, given: Any) -> BackDriving:
     """Torque on the output that turns it in the direction of the motion."""
-    direction = "forward" if sign_of(given) > 0 else "backward"
-    return back_driving(
-        errors.stiffened(design), errors, direction=direction, samples=given.running_samples, **ways(given)
-    )
+    how: dict[str, Any] = dict(samples=given.running_samples) | ways(given)
+    how["direction"] = "forward" if sign_of(given) > 0 else "backward"
+    return back_driving(errors.stiffened(design), errors, **how)
 
 
 def loop(design: PyTree, errors: PyTree, given: Any) -> Solved:
     """Largest of the probe angles, which divide a crank turn."""
     design, step = errors.stiffened(design), 2 * np.pi * design.ratio / design.cycloid.pin_count / given.probe_angles
 
+    how: dict[str, Any] = dict(ways(given))
+
     def at(angle: jax.Array) -> tuple[jax.Array, jax.Array]:
-        found = hysteresis(design, errors, input_angle=angle, **ways(given))
+        found = hysteresis(design, errors, input_angle=angle, **how)
         return found.width, found.info.status
 
     angles = given.input_angle + step * np.arange(given.probe_angles)

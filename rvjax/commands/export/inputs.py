@@ -125,7 +125,7 @@ def _errors(unit: str, design: PyTree) -> PyTree:
     """
     record = design.error_record
     if unit == "nominal":
-        return record()
+        return record.for_design(design)
     if not unit.endswith(".toml"):
         raise ValueError(f"--unit {unit}: must be nominal, {', '.join(STATISTICS)}, or a .toml file with [errors]")
     try:
@@ -147,4 +147,4 @@ def _errors(unit: str, design: PyTree) -> PyTree:
             values[name] = np.asarray(numbers, float)
         except ValueError:
             raise ValueError(f"{where}: lists of different length") from None
-    return record(**values)
+    return record.for_design(design, **values)

@@ -60,7 +60,8 @@ def _state(losses: UnitLosses) -> str:
 
 def _places(losses: UnitLosses) -> Table:
     """Loss torque by place, of the unit at the centre and of the mean unit."""
-    found = {name: each for name, each in losses.under.items() if np.any(each)}
+    largest = sorted(losses.under.items(), key=lambda item: -float(np.mean(item[1][1:])))
+    found = {name: each for name, each in largest if np.any(each)}
     total = sum(found.values(), np.zeros(len(losses.viscous)))
     mean = float(np.mean(total[1:]))
     rows = []
@@ -137,7 +138,7 @@ def _coefficients(study: Study) -> Table:
             source = (source if source and is_assumed(source) else "assumed") + usual
         value = f"{float(number.value):.4g}" if number.unit == "-" else shown(number.value, number.unit)
         rows.append([Titled(name.replace("_", " "), number.meaning), value, _spread(study, name), source])
-    columns = [Text("coefficient"), Text("value"), Text("of the units"), Text("source", wraps=True)]
+    columns = [Text("coefficient"), Text("value"), Text("spread of units"), Text("source", wraps=True)]
     return Table("friction", columns, rows, caption="Friction of the study")
 
 

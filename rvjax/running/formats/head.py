@@ -4,7 +4,7 @@ import dataclasses
 import math
 import re
 import textwrap
-from typing import Any, NamedTuple
+from typing import Any
 
 from rvjax.records import PyTree
 
@@ -13,7 +13,8 @@ MISSING = ("transmission error", "dependence on the angle", "curved stiffness", 
 LINE = 100  # characters of a line of the comment
 
 
-class Header(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class Header:
     """Origin of a joint model.
 
     Attributes:

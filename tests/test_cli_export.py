@@ -1,0 +1,162 @@
+"""`rvjax export`: what it refuses, the units that it takes, the files that it writes.
+
+Oracles: `running.joint` of the same unit; quantiles of given joint models.
+"""
+
+import json
+import xml.etree.ElementTree as ElementTree
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rvjax
+from rvjax import cli, running
+from rvjax.commands.export import compute
+from rvjax.status import SolveInfo
+from rvjax.units import arcmin
+
+STUDY = """
+[design]
+base = "cycloidal-17"
+friction = {ring_pins = 0.05, output_pins = 0.05, input_drag = "0.01 N m"}
+[conditions]
+running_samples = 4
+rated_torque = "8.8 N m"
+[tolerances.throw]
+half_width = "10 um"
+[requirement.starting_torque]
+upper = "1 N m"
+[requirement.torsional_stiffness]
+lower = "1 N m/arcmin"
+"""
+UNIT = '[errors]\npin_radius = "2 um"\nring_pin_friction = 0.4\nhole_position = {places}\n'
+INERTIAS = ["--input-inertia", "1e-5 kg m2", "--output-inertia", "2e-3 kg m2"]
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "drive.toml").write_text(STUDY)
+    (tmp_path / "bare.toml").write_text(STUDY.replace("friction = ", "# "))
+    (tmp_path / "unrated.toml").write_text(
+        STUDY.replace('rated_torque = "8.8 N m"', "").partition("[requirement.torsional")[0]
+    )
+    (tmp_path / "other.toml").write_text('[design]\nbase = "corr"\n')
+    (tmp_path / "empty.toml").write_text("")
+    (tmp_path / "wrong.toml").write_text('[errors]\nthrow = "2 N"\n')
+    (tmp_path / "ragged.toml").write_text(UNIT.format(places='[["1 um"], ["1 um", "2 um"]]'))
+    (tmp_path / "there.json").write_text("mine")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["drive.toml", "a.txt"], "a.txt: must end with one of .xml, .mo, .urdf, .json, or give --as"),
+        (["drive.toml", "there.json"], "there.json: exists already; name a new file"),
+        (["drive.toml", "no/a.json"], "no/a.json: there is no such folder"),
+        (["bare.toml", "a.json"], "bare: design.friction is missing"),
+        (["other.toml", "a.json"], "other: an oscillatory roller reducer has no model of its friction"),
+        (["unrated.toml", "a.json"], "conditions.rated_torque is missing; give it or --rated-torque"),
+        (["drive.toml", "a.json", "--rated-torque", "0 N m"], "--rated-torque = '0 N m': must be positive"),
+        (["drive.toml", "a.json", "--rated-torque", "8.8"], "--rated-torque = '8.8'"),
+        (["drive.toml", "a.json", "--damping", "-1 N m s/rad"], "--damping = '-1 N m s/rad': must not be negative"),
+        (["drive.toml", "a.xml"], "design.inertia is missing: mjcf needs both inertias; give --input-inertia"),
+        (["drive.toml", "a.mo", *INERTIAS[:2]], "modelica needs both inertias; give --output-inertia"),
+        (["drive.toml", "a.xml", *INERTIAS[:3], "0 kg m2"], "--output-inertia = '0 kg m2': must be positive"),
+        (["drive.toml", "a.json", "--samples", "9"], "--samples 9: needs --unit median or p99"),
+        (["drive.toml", "a.json", "--unit", "mean"], "--unit mean: must be nominal, median, p99, or a .toml file"),
+        (["drive.toml", "a.json", "--unit", "no.toml"], "--unit no.toml: no such file"),
+        (["drive.toml", "a.json", "--unit", "empty.toml"], r"--unit empty.toml: [errors] is missing or empty"),
+        (["drive.toml", "a.json", "--unit", "wrong.toml"], "errors.throw = '2 N': unit 'N'"),
+        (["drive.toml", "a.json", "--unit", "ragged.toml"], "errors.hole_position: lists of different length"),
+    ],
+)
+def test_bad_input_is_one_line_and_writes_nothing(folder, capsys, arguments, words):
+    before = sorted(folder.iterdir())
+    assert cli.main(["export", *arguments]) == 2
+    said = capsys.readouterr().err
+    assert words in said and said.count("\n") == 1
+    assert sorted(folder.iterdir()) == before and (folder / "there.json").read_text() == "mine"
+
+
+def test_a_drive_without_errors(folder, capsys):
+    """Backlash and stiffness of an independent solution (docs/models/single_stage.md); friction in the clearance."""
+    assert cli.main(["export", "drive.toml", "a.json", "--format", "json", "--quiet"]) == 0
+    assert json.loads(capsys.readouterr().out)["file"] == "a.json"
+    found = json.loads((folder / "a.json").read_text())
+    assert (found["study"], found["unit"], found["rvjax"]) == ("drive", "nominal", rvjax.__version__)
+    assert found["half_backlash"] == pytest.approx(23.916 / 2 * arcmin, rel=2e-3)
+    assert found["stiffness"] == pytest.approx(6.4845 / arcmin, rel=2e-3)
+    assert found["ratio"] == -17 and found["input_friction"] == pytest.approx(0.17) and found["output_friction"] == 0
+    assert 0.05 < found["forward_loss"] == pytest.approx(found["backward_loss"], rel=1e-6)
+    assert found["rotor_inertia"] is None and found["damping"] is None
+
+
+def test_a_measured_unit_with_the_options(folder, monkeypatch, capsys):
+    """The joint model is a function of what it is given."""
+
+    def joint(design, errors, **ways):
+        assert ways == dict(
+            rated_torque=4.0, damping=3.0, input_angle=0.0, samples=4, contact="hertz", carrier="fixed", sun="fixed"
+        )
+        numbers = dict.fromkeys(running.units(running.Joint), jnp.ones(()))
+        numbers |= dict(
+            half_backlash=errors.pin_radius, stiffness=jnp.sum(errors.hole_position), ratio=jnp.float64(-17)
+        )
+        numbers |= dict(damping=jnp.float64(3), input_friction=errors.ring_pin_friction, rotor_inertia=None)
+        return running.Joint(**numbers, info=SolveInfo(jnp.int32(0), jnp.int32(1), jnp.float64(0)))
+
+    monkeypatch.setattr(running, "joint", joint)
+    places = [[["1 um", "0 m"]] * 6, [["0 m", "2 um"]] * 6]
+    (folder / "unit.toml").write_text(UNIT.format(places=places))
+    command = ["--rated-torque", "4 N m", "--damping", "3 N m s/rad", "--unit", "unit.toml", "--quiet"]
+    assert cli.main(["export", "drive.toml", "b.txt", "--as", "mjcf", *INERTIAS, *command]) == 0
+    assert "b.txt: mjcf" in capsys.readouterr().out
+    text = (folder / "b.txt").read_text()
+    root = ElementTree.fromstring(text)
+    train, rotor = root.find("tendon/fixed"), root.find("worldbody/body[@name='rotor']/joint")
+    assert float(train.get("stiffness")) == pytest.approx(6 * 3e-6) and float(train.get("damping")) == 3
+    assert float(train.get("springlength").split()[1]) == 2e-6 and float(rotor.get("frictionloss")) == 0.4
+    assert float(rotor.get("armature")) == pytest.approx(1e-5 * 17**2)
+    assert float(root.find("worldbody/body[@name='output']/joint").get("armature")) == 2e-3
+    assert "unit: unit.toml" in text[: text.index("-->")]
+
+
+@pytest.fixture
+def units(folder, monkeypatch):
+    """A command whose hundred units are given: numbers 0 to 99, of which some cannot be solved."""
+
+    def run(unit, failed):
+        each = np.arange(100.0)
+        info = jax.vmap(SolveInfo)(np.where(each < failed, 3, 0), np.ones(100, int), np.zeros(100))
+        numbers = {name: np.where(each < failed, np.nan, each) for name in running.units(running.Joint)}
+        numbers |= dict(damping=None, rotor_inertia=None, output_inertia=None)
+        joint = jax.vmap(lambda numbers, info: running.Joint(**numbers, info=info))(numbers, info)
+        monkeypatch.setattr(compute, "_of_units", lambda *_: joint)
+        return cli.main(["export", "drive.toml", "a.json", "--unit", unit, "--samples", "100", "--quiet"])
+
+    return SimpleNamespace(run=run, file=folder / "a.json")
+
+
+def test_a_statistic_takes_the_unfavourable_side_of_every_number(units, capsys):
+    assert units.run("p99", 0) == 0
+    found = json.loads(units.file.read_text())
+    assert found["stiffness"] == pytest.approx(99 - 98.01) and found["half_backlash"] == pytest.approx(98.01)
+    assert found["input_friction"] == found["backward_loss"] == pytest.approx(98.01)
+    assert found["unit"].startswith("p99, no single unit") and "100 random units" in found["unit"]
+
+
+def test_units_that_fail_count_as_unfavourable(units, capsys):
+    assert units.run("median", 10) == 0
+    found = json.loads(units.file.read_text())
+    assert found["half_backlash"] == pytest.approx(10 + 49.5) and found["stiffness"] == pytest.approx(99 - 49.5)
+    assert "10 of them cannot be solved" in found["unit"]
+    units.file.unlink()
+    capsys.readouterr()
+    assert units.run("p99", 10) == 2
+    assert capsys.readouterr().err == "rvjax: error: drive: unit p99: 10 of 100 units cannot be solved\n"
+    assert not units.file.exists()

@@ -1,0 +1,324 @@
+"""Losses, back-driving torque, hysteresis and joint model: reference cases, closed forms, invariants, statuses."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import running_cases as cases
+from loaded_cases import plain
+from scipy.special import ellipe
+
+from rvjax import Bearings, Friction, Status, loaded, running
+from rvjax.loaded import unchecked
+from rvjax.running.turn import PLACES
+
+BASIC = "rv40: all errors and shares"  # its program serves most tests of losses
+CASE = cases.NAMED[BASIC]
+DESIGN, ERRORS = cases.unit_of(CASE)
+FRICTION, OPTIONS = cases.friction_of(CASE), CASE["options"]
+TIGHT = cases.NAMED["rv40: tight pins, no torque"]
+SHORT = ("rv40: linear", "three", "single", "rv320", "wide", "rv40: no bearings", "rv40: joint, no")  # programs of one
+
+
+def plain_options(options):
+    return {
+        name: value if name == "samples" or isinstance(value, str) else float(value) for name, value in options.items()
+    }
+
+
+def losses(errors=ERRORS, friction=FRICTION, design=DESIGN, **changes):
+    """Losses by the one program."""
+    return running.losses(design, errors, plain(friction), **plain_options(OPTIONS | changes))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.long) if name.startswith(SHORT) else name for name in cases.NAMED],
+)
+def test_cases_agree_with_the_independent_evaluation(name):
+    case = cases.NAMED[name]
+    rtol = 1e-6 if case["kind"] in ("joint", "hysteresis") else 1e-7
+    cases.assert_agrees(cases.solved(case), case["expect"], rtol)
+
+
+def values(found):
+    """Floating results of losses."""
+    return {name: float(x) for name, x in vars(found).items() if name not in ("info", "self_locking")}
+
+
+def test_places_sum_and_powers_balance():
+    """The sum of the places is the loss, and input less output power is the power that is lost, to rounding."""
+    ratio, speed = DESIGN.ratio, OPTIONS["output_speed"]
+    for torque in (412.0, -412.0):
+        found = losses(output_torque=torque)
+        parts = sum(float(getattr(found, name)) for name in (*PLACES, "drag"))
+        assert parts == pytest.approx(float(found.loss_torque), rel=1e-14)
+        into, out = float(found.input_torque) * ratio * speed, torque * speed
+        assert into - out == pytest.approx(float(found.power_loss), rel=1e-13)
+
+
+def test_losses_are_linear_in_every_coefficient_and_a_share_is_its_factor():
+    base, unshared = values(losses()), ERRORS
+    for share, names in (
+        ("ring_pin_friction", ("ring_pins",)),
+        ("arm_bearing_friction", ("arm_bearings",)),
+        ("support_bearing_friction", ("support_bearings",)),
+        ("gear_mesh_friction", ("gear_meshes",)),
+        (
+            "drag_friction",
+            (
+                "arm_bearing_moment",
+                "support_bearing_moment",
+                "input_drag",
+                "output_drag",
+                "input_viscous",
+                "output_viscous",
+            ),
+        ),
+    ):
+        more = 1 + float(getattr(ERRORS, share))
+        by_share = values(losses(unchecked(unshared, **{share: 2 * more - 1})))
+        by_number = values(losses(friction=FRICTION.replace(**{name: 2 * getattr(FRICTION, name) for name in names})))
+        for name, value in by_share.items():
+            assert value == pytest.approx(by_number[name], rel=1e-12), (share, name)
+        changed = [place for place in (*PLACES, "drag") if by_share[place] != pytest.approx(base[place], rel=1e-12)]
+        own = {"arm_bearings", "support_bearings", "drag"} if share == "drag_friction" else set(names)
+        assert set(changed) == own
+        if share != "drag_friction" and share not in ("arm_bearing_friction", "support_bearing_friction"):
+            assert by_share[names[0]] == pytest.approx(2 * base[names[0]], rel=1e-12)
+
+
+def test_motion_backwards_mirrors_a_unit_without_errors():
+    none = cases.unit_of(cases.NAMED["rv40: no errors, forward"])[1]
+    one, other = values(losses(none)), values(losses(none, output_torque=-412.0, output_speed=-OPTIONS["output_speed"]))
+    assert other.pop("input_torque") == pytest.approx(-one.pop("input_torque"), rel=1e-9)
+    for name, value in one.items():
+        assert other[name] == pytest.approx(value, rel=1e-9, abs=1e-9), name
+
+
+def test_at_rest_only_the_factor_counts_and_no_viscous_drag():
+    """The static factor changes starting torque and self-locking alone; viscous drag nothing at rest."""
+    slow = losses(output_speed=0.0)
+    thick = losses(output_speed=0.0, friction=FRICTION.replace(input_viscous=1.0, output_viscous=90.0))
+    assert values(slow) == pytest.approx(values(thick), rel=1e-14) and float(slow.power_loss) == 0
+    nearly = values(losses(output_speed=1e-9))
+    assert values(slow) | {"power_loss": 0} == pytest.approx(nearly | {"power_loss": 0}, rel=1e-8)
+    base, sticky = values(losses()), values(losses(friction=FRICTION.replace(static_factor=2.4)))
+    assert sticky.pop("starting_torque") == pytest.approx(2 * base.pop("starting_torque"), rel=1e-12)
+    assert sticky == pytest.approx(base, rel=1e-12)
+    none = cases.unit_of(cases.NAMED["rv40: no errors, forward"])[1]
+    least = 1 / float(1 - losses(none, output_speed=0.0).backward_efficiency)  # all angles are nearly alike
+    for factor, locks in ((1.05 * least, 1), (0.95 * least, 0)):
+        assert int(losses(none, FRICTION.replace(static_factor=factor)).self_locking) == locks
+
+
+def test_no_friction_is_no_loss():
+    zero = Friction(
+        **{name: 0.0 for name, value in vars(FRICTION).items() if value is not None and name != "static_factor"}
+    )
+    found = losses(friction=zero.replace(static_factor=1.0))
+    assert float(found.efficiency) == float(found.backward_efficiency) == 1 and int(found.self_locking) == 0
+    assert float(found.loss_torque) == float(found.starting_torque) == 0
+    due = cases.NAMED["rv40: back, all errors"]
+    back = cases.solved(due | dict(friction=vars(plain(zero))))
+    assert float(back.torque) == 0 and int(back.info.status) == Status.CONVERGED
+
+
+@functools.cache
+def batch():
+    """Nine lanes of one program: the unit, what spoils it one by one, and the unit again."""
+    nan = np.nan
+    lanes = [
+        {}, {"ring_pins": -0.1}, {"static_factor": 0.0}, {"gear_meshes": 1.0}, {"drag_friction": -1.5},
+        {"output_drag": nan}, {"pitch": 0.0}, {"ring_pin_friction": nan}, {},
+    ]  # fmt: skip
+    made = []
+    for change in lanes:
+        friction = unchecked(FRICTION, **{k: v for k, v in change.items() if k in vars(FRICTION)})
+        errors = unchecked(ERRORS, **{k: v for k, v in change.items() if k.endswith("_friction")})
+        arm = unchecked(DESIGN.bearings.arm, **({"pitch_diameter": 0.0} if "pitch" in change else {}))
+        made.append((DESIGN.replace(bearings=unchecked(DESIGN.bearings, arm=arm)), errors, friction))
+    stacked = jax.tree.map(lambda *x: np.stack(x), *plain(made))
+    return jax.jit(jax.vmap(lambda d, e, f: running.losses(d, e, f, **plain_options(OPTIONS))))(*stacked)
+
+
+def test_a_bad_number_is_a_status_and_leaves_its_neighbours():
+    found = batch()
+    bad, wrong = int(Status.NONFINITE), int(Status.INVALID_GEOMETRY)
+    assert found.info.status.tolist() == [0, wrong, wrong, wrong, wrong, bad, wrong, bad, 0]
+    one = values(losses())
+    for name, value in one.items():
+        lanes = np.asarray(getattr(found, name))
+        assert np.isnan(lanes[1:8]).all(), name
+        np.testing.assert_allclose(lanes[[0, 8]], value, rtol=1e-9, err_msg=name)
+
+
+def test_single_precision_is_good_to_a_percent():
+    design, errors = cases.unit_of(TIGHT)
+    lower = jax.tree.map(np.float32, (design, errors, cases.friction_of(TIGHT)))
+    for torque in (0.0, 412.0):
+        exact = losses(errors, cases.friction_of(TIGHT), output_torque=torque)
+        found = running.losses(*lower, output_torque=np.float32(torque), output_speed=np.float32(1.5707963), samples=6)
+        assert found.loss_torque.dtype == np.float32 and int(found.info.status) == int(exact.info.status) == 0
+        assert float(found.loss_torque) == pytest.approx(float(exact.loss_torque), rel=1e-2)
+
+
+PIN = 1e7  # N/m
+LINEAR = dict(contact="linear", samples=24, output_speed=0.7)
+
+
+@functools.cache
+def simple():
+    """RV-40E with stiff bearings, without positions of the supports, and its friction."""
+    design, errors = cases.unit_of(cases.NAMED["rv40: no errors, forward"])
+    springs = design.stiffness.replace(turning_arm_bearing=1e11, support_bearing=1e11)
+    bearings = Bearings(design.bearings.arm, design.bearings.support)
+    contact = design.contact.replace(pin_stiffness=PIN)
+    return plain((design.replace(stiffness=springs, bearings=bearings, contact=contact), errors))
+
+
+SIMPLE = plain(Friction(0.05, None, 0.002, 0.0015, 0.01, input_drag=0.05, output_drag=8.0, static_factor=1.2))
+
+
+def test_closed_forms_of_every_place():
+    """The handbook's formula of the pins, elliptic integrals of the bearings, gears: Eqs. 19 to 24."""
+    design, errors = simple()
+    cycloid, cranks, bearings = design.cycloid, design.cranks.count, design.bearings
+    zc, zp, discs, e = cycloid.disc_teeth, cycloid.pin_count, cycloid.disc_count, cycloid.eccentricity
+    rp, rr, radius, torque = cycloid.pin_circle_radius, cycloid.pin_radius, design.cranks.circle_radius, 412.0
+    found = running.losses(design, errors, SIMPLE, output_torque=torque, **LINEAR)
+    moment = torque * zc / (discs * (zp + design.involute.sun_teeth / design.involute.planet_teeth))
+    ring = 0.05 * discs * moment * 4 * (rp - rr) / (np.pi * e * zc)
+    assert float(found.ring_pins) == pytest.approx(ring, rel=4e-4)
+    k1 = e * zp / rp
+    inner = (1 - (1 - k1**2) / (2 * k1) * np.log((1 + k1) / (1 - k1))) / k1
+    a, b = moment / (cranks * radius), np.hypot(moment / (e * zc), 2 * moment * inner / (np.pi * e * zc)) / cranks
+    arms = discs * cranks * 2 / np.pi * (a + b) * ellipe(4 * a * b / (a + b) ** 2)
+    assert float(found.arm_bearings) == pytest.approx(zp * 0.002 * arms * bearings.arm.pitch_diameter / 2, rel=1e-4)
+    supports = zp * 0.0015 * torque / radius * bearings.support.pitch_diameter / 2
+    assert float(found.support_bearings) == pytest.approx(supports, rel=1e-5)
+    assert float(found.gear_meshes) == pytest.approx(0.01 * torque * (1 - 1 / design.ratio), rel=1e-6)
+    drag = 8 + design.ratio * 0.05
+    share = float(found.loss_torque - found.drag) / torque
+    assert float(found.efficiency) == pytest.approx(1 / (1 + share + drag / torque), rel=1e-9)
+    assert float(found.backward_efficiency) == pytest.approx(1 - share - drag / torque, rel=1e-7)
+    delta = 2e-6
+    tight = running.losses(design, unchecked(errors, pin_radius=delta), SIMPLE, output_torque=0.0, **LINEAR)
+    assert int(tight.info.status) == Status.CONVERGED
+    size = 2 / np.pi * (1 + k1) * ellipe(4 * k1 / (1 + k1) ** 2)
+    assert float(tight.ring_pins) == pytest.approx(0.05 * discs * PIN * delta * zp * (rp * size - rr), rel=1e-3)
+
+
+@pytest.mark.long
+def test_the_two_numbers_of_the_makers():
+    """Back-driving torque over ratio times starting torque is 1/(1 - f L), with one angle."""
+    design, errors = simple()
+    one = running.losses(design, errors, SIMPLE, output_torque=412.0, **(LINEAR | dict(samples=1)))
+    share, drag = float(one.loss_torque - one.drag) / 412, 8 + design.ratio * 0.05
+    for direction in ("forward", "backward"):
+        back = running.back_driving(design, errors, SIMPLE, direction=direction, samples=1, contact="linear")
+        assert float(back.torque) == pytest.approx(1.2 * drag / (1 - 1.2 * share), rel=1e-8)
+        makers = float(back.torque / (design.ratio * one.starting_torque))
+        assert makers == pytest.approx(1 / (1 - 1.2 * share), rel=1e-8)
+
+
+@pytest.mark.long
+def test_a_narrow_loop_is_twice_the_friction_over_the_stiffness():
+    design, errors = simple()
+    drag = plain(Friction(output_drag=1e-3, static_factor=1.2))
+    found = running.hysteresis(design, errors, drag, contact="linear")
+    at = loaded.equilibrium(design, errors, input_angle=0.0, output_torque=1e-3, contact="linear")
+    assert float(found.width) == pytest.approx(2 * 1.2e-3 / float(at.stiffness), rel=1e-3)
+
+
+def test_a_drive_with_either_output_has_the_same_losses_of_pins_and_arms():
+    """And those of the closed forms, with stiff bearings; six output pins."""
+    design, errors = cases.unit_of(cases.NAMED["cycloidal: no errors"])
+    cycloid, output = design.cycloid, design.output
+    zp, e = cycloid.pin_count, cycloid.eccentricity
+    stiff = design.stiffness.replace(eccentric_bearing=1e11, shaft_support=None)
+    cycloid = unchecked(cycloid, equidistant_modification=0.0, shift_modification=0.0)
+    output = unchecked(output, hole_clearance=0.0, pin_stiffness=1e9)
+    contact = design.contact.replace(pin_stiffness=1e8)
+    design = plain(design.replace(stiffness=stiff, cycloid=cycloid, output=output, contact=contact))
+    friction = plain(Friction(0.06, 0.08, 0.0015))
+    one = running.losses(design, errors, friction, output_torque=11.7, output_speed=1.0, contact="linear")
+    lever = 4 * (cycloid.pin_circle_radius - cycloid.pin_radius) / (np.pi * e * cycloid.disc_teeth)
+    assert float(one.ring_pins) == pytest.approx(0.06 * 11.7 * lever, rel=1e-3)
+    holes = 0.08 * 11.7 * 4 * e * zp / (np.pi * output.circle_radius)
+    assert float(one.output_pins) == pytest.approx(holes, rel=0.01)
+    assert float(one.gear_meshes) == float(one.support_bearings) == 0
+    ring, torque = design.replace(member="ring"), -11.7 * zp / cycloid.disc_teeth
+    other = running.losses(ring, errors, friction, output_torque=torque, output_speed=1.0, contact="linear")
+    for name in ("ring_pins", "output_pins", "arm_bearings"):
+        assert float(getattr(other, name)) == pytest.approx(float(getattr(one, name)), rel=1e-6)
+
+
+def moved(amount, case):
+    """Results of a case with many of its numbers moved by shares of an amount, as an array."""
+    design, errors = cases.unit_of(case)
+    friction, options = cases.friction_of(case), plain_options(case["options"])
+    cycloid, springs, bearings = design.cycloid, design.stiffness, design.bearings
+    design = design.replace(
+        cycloid=unchecked(
+            cycloid,
+            eccentricity=cycloid.eccentricity * (1 + 1e-3 * amount),
+            pin_radius=cycloid.pin_radius * (1 - amount),
+        ),
+        stiffness=springs.replace(turning_arm_bearing=springs.turning_arm_bearing * (1 + 0.7 * amount)),
+        contact=design.contact.replace(young_modulus=design.contact.young_modulus * (1 + 0.4 * amount)),
+        bearings=unchecked(
+            bearings,
+            arm=unchecked(bearings.arm, pitch_diameter=bearings.arm.pitch_diameter * (1 + 0.3 * amount)),
+            support_span=bearings.support_span * (1 + amount),
+        ),
+    )
+    errors = unchecked(
+        errors,
+        pin_radius=errors.pin_radius + 1e-6 * amount,
+        disc_bore=errors.disc_bore * (1 - amount),
+        ring_pin_friction=errors.ring_pin_friction + 0.2 * amount,
+        drag_friction=errors.drag_friction - amount,
+    )
+    friction = unchecked(
+        friction,
+        gear_meshes=friction.gear_meshes * (1 + 2 * amount),
+        output_drag=friction.output_drag * (1 + amount),
+        static_factor=friction.static_factor * (1 + 0.5 * amount),
+        support_bearings=friction.support_bearings * (1 - 2 * amount),
+    )
+    shares = dict(output_torque=0.3, output_speed=-1.0, rated_torque=0.3, input_angle=1e-3)
+    options |= {name: options[name] * (1 + share * amount) for name, share in shares.items() if name in options}
+    found = cases.FUNCTIONS[case["kind"]](design, errors, friction, **options)
+    kept = {name: x for name, x in vars(found).items() if name not in ("info", "self_locking") and x is not None}
+    return jnp.stack([jnp.asarray(x) for x in kept.values()])
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        BASIC,
+        "rv40: back, all errors",
+        pytest.param("rv40: loop, tight pins", marks=pytest.mark.long),
+        pytest.param("rv40: joint, all errors", marks=pytest.mark.long),
+    ],
+)
+def test_derivatives_are_those_of_the_plain_values(name, thorough):
+    """Along one direction that moves design, errors, friction and conditions; the long profile, in reverse too."""
+    case, step = cases.NAMED[name], 1e-5
+    value = functools.partial(moved, case=case)
+    due = (np.asarray(value(step)) - np.asarray(value(-step))) / (2 * step)
+    scale = np.abs(np.asarray(value(0.0))) + np.abs(due)
+    slopes = [jax.jit(lambda x: jax.jvp(value, (x,), (1.0,))[1])(0.0)]
+    slopes += [jax.jit(jax.jacrev(value))(0.0)] if thorough else []
+    for slope in slopes:
+        assert np.all(np.abs(np.asarray(slope) - due) <= 1e-6 * scale)
+
+
+def test_second_calls_compile_nothing(compiled):
+    losses(output_torque=300.0)
+    compiled.clear()
+    losses(output_torque=310.0, friction=FRICTION.replace(ring_pins=0.07))
+    assert not [event for event in compiled if "compile" in event]
