@@ -9,6 +9,7 @@ import pytest
 from loaded_cases import NAMED, assert_same, at, design_of, errors_of, solve, supported
 
 from rvjax import Status, loaded
+from rvjax.loaded import batching, newton
 from rvjax.loaded.case import solve as solve_from
 from rvjax.loaded.equilibrium import outcome
 from rvjax.loaded.kinds import admit, check_input, prepare
@@ -36,8 +37,7 @@ def unit(errors, n):
     return jax.tree.map(lambda leaf: leaf[n], errors)
 
 
-@jax.jit
-def solve_units(errors, torques, starts):
+def units_solved(errors, torques, starts):
     """Units at two angles with a torque each: groups of one geometry, in more lanes than a block has.
 
     As `loaded.equilibrium`, from a start of its own for each unit."""
@@ -54,6 +54,7 @@ def solve_units(errors, torques, starts):
     return jax.vmap(of_angle, in_axes=(None, 0, 0, None))(errors, torques, jnp.asarray(ANGLES), starts)
 
 
+solve_units = jax.jit(units_solved)
 COLD = np.full(UNITS, np.nan)  # from the linear step
 
 
@@ -79,6 +80,27 @@ def test_many_units_at_little_torque_all_converge_and_agree_with_each_alone():
         due = alone(errors, place, torques)
         np.testing.assert_allclose(found.error[place], due.error, rtol=1e-8, atol=1e-12)
         np.testing.assert_allclose(found.pins[place], due.pins, rtol=0, atol=1e-7 * np.max(due.pins))
+
+
+def test_the_last_cases_of_a_wide_block_go_on_in_a_narrow_one(monkeypatch):
+    """One block of all 100 units, as on a GPU, and another unit that is not solved: the same as in blocks of 64, whose
+    units are each as alone, in as many steps; a second loop has a sixteenth of the lanes."""
+    errors, torques = sampled(UNITS), 0.03 * RATED * SIGNS
+    object.__setattr__(errors, "crank_phase", errors.crank_phase.at[0].set(np.nan))
+    due = jax.tree.map(np.asarray, solve_units(errors, torques, COLD))
+    monkeypatch.setattr(newton, "BLOCK", 1000)
+    monkeypatch.setattr(newton, "_WIDE", UNITS - 1)
+    batching.in_lanes.cache_clear()
+    lowered = jax.jit(lambda *given: units_solved(*given)).lower(errors, torques, COLD)
+    batching.in_lanes.cache_clear()
+    text = lowered.as_text()
+    assert all(f"tensor<13x{lanes}xf64>" in text for lanes in (UNITS, UNITS // 16))
+    found = jax.tree.map(np.asarray, lowered.compile()(errors, torques, COLD))
+    np.testing.assert_array_equal(found.info.status, due.info.status)
+    assert np.all(found.info.status[:, 0] == Status.NONFINITE)
+    np.testing.assert_allclose(found.error, due.error, rtol=1e-8, atol=1e-12)
+    assert np.mean(found.info.steps != due.info.steps) < 0.15  # the last ones forget how long they stalled
+    np.testing.assert_allclose(np.mean(found.info.steps), np.mean(due.info.steps), rtol=0.1)
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,8 @@ monotone, because the energy is convex). An immediate search fails where a journ
 the circle by the second order, so that the energy of good steps rises for a while.
 
 A block has a fixed number of places. Once a quarter of its cases is done, waiting cases replace them, so that slow
-cases do not delay the others.
+cases do not delay the others. The last cases of a wide block, as a GPU has it, go on in a narrow one from their best
+points: of a thousand equilibria at 3 % of the rated torque one takes 120 points, but half of all take 9.
 """
 
 import functools
@@ -43,6 +44,8 @@ from rvjax.records import PyTree
 
 MAX_STEPS = 300
 _DIRECT = 80  # of them before the interior point method
+_WIDE = 1024  # places; a wider block is left by its last cases
+_LAST = 16  # one of so many places is open then
 
 
 class Found(NamedTuple):
@@ -69,6 +72,7 @@ class _Tour(NamedTuple):
 
     number: jax.Array  # of the round
     queued: jax.Array  # (cases,) to be solved in it
+    start: jax.Array  # (cases or 1, n)
     found: Found  # cases first
 
 
@@ -92,7 +96,7 @@ def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
     cases = max(len(leaf) for leaf in jax.tree.leaves((system, start)))
     if layout.law != "linear":
         system = _working_first(system)
-    one_round = functools.partial(_round, layout, system, start)
+    width = min(cases, EQUILIBRIA.here)
 
     def goes_on(tour: _Tour) -> jax.Array:
         return (tour.number == 0) | ((tour.number == 1) & jnp.any(tour.queued))
@@ -101,7 +105,10 @@ def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
     zero, no, none = jnp.zeros((cases,), dtype), jnp.zeros((cases,), bool), jnp.zeros((cases,), jnp.int32)
     nothing = Found(jnp.zeros((cases, layout.unknowns), dtype), none, zero, zero, no, no, no)
     solved = jnp.broadcast_to(~jnp.any(jnp.isinf(start), axis=1), (cases,))
-    return jax.lax.while_loop(goes_on, one_round, _Tour(jnp.int32(0), solved, nothing)).found
+    tour = _Tour(jnp.int32(0), solved, start, nothing)
+    if width > _WIDE:
+        tour, width = _round(layout, system, tour, width, last=width // _LAST), width // _LAST
+    return jax.lax.while_loop(goes_on, lambda tour: _round(layout, system, tour, width), tour).found
 
 
 def _working_first(s: System) -> System:
@@ -113,17 +120,16 @@ def _working_first(s: System) -> System:
     return s._replace(pins=pins._replace(rows=rows, gap=jnp.take_along_axis(pins.gap, order, axis=-1), level=level))
 
 
-def _round(layout: Layout, system: System, start: jax.Array, tour: _Tour) -> _Tour:
-    """Every case of the queue, as many at a time as a block has places."""
+def _round(layout: Layout, system: System, tour: _Tour, width: int, last: int = 0) -> _Tour:
+    """Every case of the queue, as many at a time as a block has places; up to `last` are left to a narrower block."""
     cases = len(tour.queued)
-    width = min(cases, EQUILIBRIA.here)
     (queue,) = jnp.nonzero(tour.queued, size=cases, fill_value=cases)
     many, again = jnp.sum(tour.queued, dtype=jnp.int32), tour.number > 0
 
     def seated(turn: jax.Array, empty: jax.Array) -> tuple[jax.Array, System, State]:
         """Case at each place (`cases` for none), its system, and the state in which it begins."""
         index = queue.at[turn].get(mode="fill", fill_value=cases)
-        part, begin, steps = take((system, start, tour.found.steps), jnp.minimum(index, cases - 1))
+        part, begin, steps = take((system, tour.start, tour.found.steps), jnp.minimum(index, cases - 1))
         gap = jnp.broadcast_to(part.pins.gap, (*part.pins.gap.shape[:-1], width))
         part = part._replace(pins=part.pins._replace(gap=gap))
         taken = turn < many
@@ -133,10 +139,10 @@ def _round(layout: Layout, system: System, start: jax.Array, tour: _Tour) -> _To
             lambda: approach(layout, part, taken & empty),
             lambda: (begin, jnp.zeros((width,), jnp.int32)),
         )
-        return index, part, _begin(part, begin, taken, jnp.where(again, steps, 0) + more)
+        return index, part, _begin(part, begin, taken, steps + more)
 
     def unfinished(block: _Block) -> jax.Array:
-        return jnp.any(block.state.open) | (block.next < many)
+        return (jnp.sum(block.state.open) > last) | (block.next < many)
 
     def refill(block: _Block) -> _Block:
         """Give the places of ended cases to the next of the queue, and go on until there are places to give again."""
@@ -145,8 +151,8 @@ def _round(layout: Layout, system: System, start: jax.Array, tour: _Tour) -> _To
         following = block.next + jnp.sum(free, dtype=jnp.int32)
         index, part, fresh = seated(turn, free)
         state = jax.tree.map(lambda new, old: jnp.where(free[None], new, old), fresh, block.state)
-        # A refill waits for a quarter of the places; without a queue all cases run to their end.
-        leave = jnp.where(following < many, 3 * width // 4, 0).astype(jnp.int32)
+        # A refill waits for a quarter of the places; without a queue all cases but the last run to their end.
+        leave = jnp.where(following < many, 3 * width // 4, last).astype(jnp.int32)
         state = _iterate(layout, part, state, leave, again)
         # Cases that are still open are written, too: their last values come later. Places without a case write nothing.
         found = jax.tree.map(
@@ -157,9 +163,14 @@ def _round(layout: Layout, system: System, start: jax.Array, tour: _Tour) -> _To
     turn = jnp.zeros((width,), jnp.int32)
     shapes = jax.eval_shape(lambda: seated(turn, turn == 0)[2])
     empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)  # not open: every place is free
-    found = jax.lax.while_loop(unfinished, refill, _Block(turn, empty, jnp.int32(0), tour.found)).found
+    block = jax.lax.while_loop(unfinished, refill, _Block(turn, empty, jnp.int32(0), tour.found))
+    found, state = block.found, block.state
+    if last:
+        index = jnp.where(state.open, queue[block.turn], cases)
+        best = jnp.broadcast_to(tour.start, found.q.shape).at[index].set(state.best.T, mode="drop")
+        return _Tour(tour.number, jnp.zeros_like(tour.queued).at[index].set(True, mode="drop"), best, found)
     lost = ~found.converged & found.finite & (found.steps >= _DIRECT)
-    return _Tour(tour.number + 1, lost, found)
+    return _Tour(tour.number + 1, lost, tour.start, found)
 
 
 def _begin(s: System, start: jax.Array, seated: jax.Array, steps: jax.Array) -> State:
