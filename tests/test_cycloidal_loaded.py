@@ -259,10 +259,6 @@ def test_extreme_drives_converge(eccentric_bearing, size):
     draw = np.random.default_rng(59)
     for angle in (0.0, 1.0, 40.0, 333.0):
         errors = drawn(draw, (2, 60, 59, 3), size)
-        if not size:  # centring springs, 1e-8 of the bearings, hold the discs off the ring: only output pins press
-            faint = solve(*placed(design, CycloidalErrors(**errors)), angle, 1e-6)
-            assert np.max(faint.output_pins) > 0 and not np.any(faint.pins)
-            assert Status(int(faint.info.status)) == Status.UNLOADED
         for torque in (2.93e-3, -2.93e-3, 0.0):
             found = solve(*placed(design, CycloidalErrors(**errors)), angle, torque)
             assert Status(int(found.info.status)) == (Status.CONVERGED if torque else Status.UNLOADED)
@@ -285,6 +281,20 @@ def test_float32_gives_the_same_to_its_rounding():
     for field in ("pins", "output_pins", "disc_bearing"):
         due = np.asarray(getattr(double, field))
         np.testing.assert_allclose(getattr(single, field), due, atol=2e-3 * np.max(due))
+
+
+def test_a_torque_that_the_ring_does_not_carry_is_unloaded():
+    """Springs of 1e-8 of the rigid bearings hold the discs, 0.1 mm off the ring, while output pins press."""
+    design, errors = placed(c17()[0])
+    design = design.replace(
+        stiffness=design.stiffness.replace(eccentric_bearing=np.asarray(1e11)),
+        cycloid=design.cycloid.replace(equidistant_modification=np.asarray(1e-4)),
+        output=design.output.replace(hole_clearance=np.asarray(0.0)),
+    )
+    for torque, due in ((1e-4, Status.UNLOADED), (1.0, Status.CONVERGED)):
+        found = solve(design, errors, torque=torque)
+        assert Status(int(found.info.status)) == due and np.max(found.output_pins) > 0
+        assert np.any(found.pins) == (due == Status.CONVERGED)
 
 
 def test_a_throw_longer_than_the_holes_allow_is_no_failure():
