@@ -288,6 +288,20 @@ def test_float32_gives_the_same_to_its_rounding():
         np.testing.assert_allclose(getattr(single, field), due, atol=2e-3 * np.max(due))
 
 
+def test_a_torque_that_the_ring_does_not_carry_is_unloaded():
+    """Springs of 1e-8 of the rigid bearings hold the discs, 0.1 mm off the ring, while output pins press."""
+    design, errors = placed(c17()[0])
+    design = design.replace(
+        stiffness=design.stiffness.replace(eccentric_bearing=np.asarray(1e11)),
+        cycloid=design.cycloid.replace(equidistant_modification=np.asarray(1e-4)),
+        output=design.output.replace(hole_clearance=np.asarray(0.0)),
+    )
+    for torque, due in ((1e-4, Status.UNLOADED), (1.0, Status.CONVERGED)):
+        found = solve(design, errors, torque=torque)
+        assert Status(int(found.info.status)) == due and np.max(found.output_pins) > 0
+        assert np.any(found.pins) == (due == Status.CONVERGED)
+
+
 def test_a_throw_longer_than_the_holes_allow_is_no_failure():
     """Every hole in its path presses; the fit without load says that the drive jams."""
     design, errors = c17(throw=np.array([150e-6, -150e-6]))

@@ -7,15 +7,20 @@ closed forms with pencil and paper, and the congruence of discs by exact fractio
 import json
 import math
 from fractions import Fraction
+from types import SimpleNamespace
 
+import jax.numpy as jnp
 import pytest
 from scipy import stats
 
 from rvjax import cli, levels, models, study
 from rvjax.catalogue import CYCLOIDAL_17, CYCLOIDAL_29
+from rvjax.commands import allocate, montecarlo
+from rvjax.commands.budget import scalar
 from rvjax.commands.init import compute as init
 from rvjax.study.kinds import cycloidal, facts_of
 from rvjax.study.response import Response
+from rvjax.tolerances import Tolerance, monte_carlo
 from rvjax.units import MPa, arcmin, um
 
 HEAD = '[design]\nbase = "cycloidal-17"\n'
@@ -124,20 +129,59 @@ def test_warnings():
     def doubts(design):
         return study.parse_study(text(design), name="x", solve=False).doubts
 
-    assert doubts("") == [] and doubts('output.hole_clearance = "127 um"\n') == []  # radial: 63.5 um < 1.6 mm / 25
-    tight, wide, flank, thick = (
+    tight, thick = (
         doubts(f"{line}\n")
         for line in (
             'output.hole_clearance = "-20 um"',
-            'output.hole_clearance = "129 um"',
-            'cycloid.equidistant_modification = "65 um"',
             'output.pin_radius = "5 mm"\noutput.circle_radius = "29 mm"\ncycloid.eccentricity = "0.49 mm"',
         )
     )
     assert len(tight) == 1 and tight[0].startswith("design.output.hole_clearance = -20 um: interference")
-    assert len(wide) == 1 and wide[0].startswith("design.output.hole_clearance / 2 = 64.5 um: above eccentricity/25")
-    assert len(flank) == 1 and flank[0].startswith("design.cycloid.equidistant_modification = 65 um: above ecc")
+    assert doubts("") == []
     assert any(line.startswith("design.output.pin_radius = 5 mm: more than ten times the ecc") for line in thick)
+
+
+@pytest.mark.parametrize(
+    ("design", "tolerances", "words"),  # 1.6 mm / 25 = 64 um
+    [
+        ('output.hole_clearance = "127 um"\n', "", ""),
+        ('output.hole_clearance = "129 um"\n', "", "64.5 um of the holes (radial): above eccentricity/25 = 64 um"),
+        ('cycloid.equidistant_modification = "65 um"\n', "", "65 um of the flanks: above eccentricity/25 = 64 um"),
+        ("", '[tolerances.equidistant_modification]\nlower = "-9 um"\nupper = "5 um"', "65 um of the flanks: above"),
+        ("", '[tolerances.output_pin_radius]\nlower = "-30 um"\nupper = "0 um"', "65 um of the holes (radial): above"),
+        (
+            'cycloid.equidistant_modification = "65 um"\noutput.hole_clearance = "140 um"\n',
+            '[tolerances.hole_radius]\nhalf_width = "3 um"',
+            "65 um of the flanks and 73 um of the holes (radial): above",
+        ),
+    ],
+)
+def test_results_say_where_the_linear_gaps_end(design, tolerances, words):
+    """The limits of the tolerances count."""
+    made = study.parse_study(text(design) + tolerances, name="x", solve=False)
+    found = made.inaccurate()
+    assert len(found) == bool(words) and all(line.startswith(f"clearance up to {words}") for line in found)
+    assert made.doubts == []
+
+
+def test_every_result_has_the_line_on_its_clearances(monkeypatch):
+    """A sample and a budget with those of the study, an allocation with those that it found."""
+    made = study.parse_study(text('cycloid.equidistant_modification = "65 um"\n'), name="x", solve=False)
+
+    def response(errors):
+        return {"hole_force": jnp.sum(errors.throw)}
+
+    monkeypatch.setattr(type(made), "response", lambda self, *, solve=True: response)
+    sampled = monte_carlo(response, made.tolerances, samples=16, seed=0, requirements=made.requirements)
+    assert "Inaccurate: clearance up to 65 um of the flanks: above" in montecarlo.report_on(sampled, made).text()
+    budget = scalar.scalar_budget(made, "hole_force", samples=16)
+    assert "Inaccurate: clearance up to 65 um of the flanks: above" in scalar.report_on_scalar(budget, made).text()
+    looser = made.tolerances.replace(equidistant_modification=Tolerance.symmetric(3 * um))
+    answer = SimpleNamespace(
+        study=made, allocation=SimpleNamespace(tolerances=looser), after=SimpleNamespace(values={}), whole=None
+    )
+    lines = [line for line in allocate.limits_of_the_answer(answer) if line.startswith("Inaccurate")]
+    assert len(lines) == 1 and lines[0].startswith("Inaccurate: clearance up to 68 um of the flanks")
 
 
 TABLE = {  # 8.8 N m, hertz, no errors: backlash, stiffness, pins, holes, their pressures, eccentric bearing, fit

@@ -88,7 +88,7 @@ def test_the_last_cases_of_a_wide_block_go_on_in_a_narrow_one(monkeypatch):
     errors, torques = sampled(UNITS), 0.03 * RATED * SIGNS
     object.__setattr__(errors, "crank_phase", errors.crank_phase.at[0].set(np.nan))
     due = jax.tree.map(np.asarray, solve_units(errors, torques, COLD))
-    monkeypatch.setattr(newton, "BLOCK", 1000)
+    monkeypatch.setattr(newton, "EQUILIBRIA", Size(1000, 1000))
     monkeypatch.setattr(newton, "_WIDE", UNITS - 1)
     batching.in_lanes.cache_clear()
     lowered = jax.jit(lambda *given: units_solved(*given)).lower(errors, torques, COLD)

@@ -16,11 +16,12 @@ from rvjax.population import Estimate, Population, wilson
 from rvjax.response import Part, elements, gradients, status_without_errors
 from rvjax.roots import solved
 from rvjax.status import Status
-from rvjax.tolerances import Outcome, ReciprocalPower, Requirement, Tolerance, allocate
+from rvjax.tolerances import Outcome, ReciprocalPower, Requirement, Run, Tolerance, allocate
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.optimum.certificate import Certifier
 from rvjax.tolerances.optimum.followed import Followed
 from rvjax.tolerances.optimum.sample_average import Training
+from rvjax.tolerances.optimum.search import Search
 
 UNITS = 4096
 WAVES = {
@@ -374,3 +375,48 @@ def test_a_limit_moves_to_the_unit_at_which_costly_units_would_prove_it(known):
         assert margin > 0.04 and found == pytest.approx([0.5 / (0.5 + margin)])
     else:
         assert found == certifier.factors(statistics, np.array([0.5]))
+
+
+def opening(e):
+    """A play that errors of the pins reduce: its mean falls where its spread grows. Beyond 2 a unit jams."""
+    play = e["a"] + e["b"] + e["held"] - jnp.abs(e["c"])
+    return Outcome({"play": play}, jnp.where(jnp.abs(e["a"]) > 2, int(Status.MAX_STEPS), 0))
+
+
+PLAY = {"a": Tolerance.symmetric(1.0), "b": Tolerance.symmetric(1.0), "c": Tolerance.symmetric(1.0)}
+SETTLES = Requirement(upper=1.0, target=0.99)
+
+
+def of_play():
+    """A search of three half-widths on 2048 units of `opening`, beside an error without a cost."""
+    units = Population.of(PLAY | {"held": Tolerance.symmetric(0.5)})
+    training = Training(Costly(opening), units, tuple(PLAY), {"play": SETTLES}, None, 2048, 0)
+    costs = {name: ReciprocalPower(scale=1.0, reference=1.0, finest=0.1, coarsest=4.0) for name in PLAY}
+    return Search(training, costs, 300)
+
+
+def test_a_certificate_settles_where_the_mean_moves_against_a_limit_on_one_side():
+    """Half-widths a quarter too wide: units that prove the limit say how much. By shares, eight steps do not arrive."""
+    search = of_play()
+    run = Run(
+        search.training.response, search.training.population, ("play",), search.training.requirements, 8192, 0, 4096,
+        keep=True,
+    )  # fmt: skip
+    certifier = Certifier(run, None, follows=True)
+    half_widths, certificate = certifier.settle(search, search.look(np.array([1.55, 1.55, 4.0])))
+    assert certifier.holds(certificate) and certifier.drawn <= 3
+    # Exact law of the sum a + b + held - |c| at these half-widths, by quadrature over |c|.
+    sd, depth = np.hypot(np.hypot(*half_widths[:2]), 0.5) / 3, np.linspace(0, 8, 4001) * half_widths[2] / 3
+    density = 2 * stats.norm.pdf(depth, scale=half_widths[2] / 3)
+    share = np.trapezoid(density * stats.norm.cdf((1 + depth) / sd), depth)
+    assert 0.9895 < share < 0.995
+
+
+def test_nothing_is_learned_where_no_quantile_is_left():
+    """Of units with |a| > 2 as many fail as one in eight, more than the target allows."""
+    training = of_play().training
+    for a in (4.0, 3.9):
+        wide = training.point(np.array([a, 1.0, 1.0]))
+        assert wide.margins[0] == np.inf and not wide.slopes.any()
+    fine = training.point(np.array([1.2, 1.0, 1.0]))
+    assert fine.margins[0] < 0.2 and np.isfinite(fine.slopes).all() and fine.slopes[0, 0] > 0

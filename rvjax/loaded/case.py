@@ -65,8 +65,11 @@ def _status(layout: Layout, read: Read, case: Case, found: Found) -> SolveInfo:
     idle = (case.system.load == 0) & (found.largest <= case.system.centring * read.design.cycloid.pin_radius)
     idle |= (found.largest <= faint * jnp.abs(case.system.load)) | (found.residual > faint)
     overload = found.overload & ~found.converged
-    if case.most is not None:
-        overload |= jnp.any(forces(layout, case.system, found.q).joints > case.most)
+    if any(group.discs for group in layout.joints):  # output pins press where the springs hold the discs, off the ring
+        at = forces(layout, case.system, found.q)
+        idle |= jnp.max(at.pins) <= faint * jnp.abs(case.system.load)
+        if case.most is not None:
+            overload |= jnp.any(at.joints > case.most)
     ended = SolveInfo(jnp.where(idle, jnp.int32(int(Status.UNLOADED)), 0), found.steps, found.residual)
     return read.gate.close(
         (),

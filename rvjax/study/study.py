@@ -16,7 +16,7 @@ from rvjax.levels import Choice, choose
 from rvjax.outputs import Curve, Output
 from rvjax.records import PyTree, Scalar
 from rvjax.study.identification import Identification
-from rvjax.study.kinds import changed, fields_of
+from rvjax.study.kinds import changed, fields_of, kind_of
 from rvjax.study.origin import Number, comments, design_numbers, given_paths, is_assumed
 from rvjax.study.plausible import doubtful_costs, doubtful_limits, doubts
 from rvjax.study.response import DesignResponse, Response, check_nominal, followed_bounds
@@ -238,6 +238,14 @@ class Study:
             *doubtful_costs(self.costs, self.tolerances),
             *doubtful_limits(self.requirements, outputs),
         ]
+
+    def inaccurate(self, tolerances: PyTree | None = None) -> list[str]:
+        """Errors of the results of a model that these numbers bring, a line each: where a result is read, it has them.
+
+        Args:
+            tolerances: of the result; by default those of the study.
+        """
+        return kind_of(self.design).inaccurate(self.design, self.tolerances if tolerances is None else tolerances)
 
     @property
     def assumed(self) -> list[str]:

@@ -148,6 +148,7 @@ def limits_of_the_answer(answer: Answer) -> list[str]:
     """Notes on the values, a line each: warnings, negative values, what is not modelled."""
     study = answer.study
     lines = [f"Doubtful: {line}" for line in study.doubts]
+    lines += [f"Inaccurate: {line}" for line in study.inaccurate(answer.allocation.tolerances)]
     lines += [f"Assumed (not published): {assumed_text(study)}"] if study.assumed else []
     lines += searched_texts(study, answer.allocation.tolerances)
     for name, values in answer.after.values.items():

@@ -36,6 +36,7 @@ def report_on(budget: Budget, study: Study) -> Report:
         study: that it belongs to.
     """
     head = [f"Study {study.name}", f"Error budget: {budget.title}", f"{budget.samples} units", *_load_lines(budget)]
+    head += [f"Inaccurate: {line}" for line in study.inaccurate()]
     shares = {level: {load: budget.shares(level, load) for load in budget.torque} for level in LEVELS}
     about = {"study": study.name, "seed": study.seed, "versions": versions(), "shares": shares}
     return Report(

@@ -86,6 +86,7 @@ def report_on_scalar(budget: ScalarBudget, study: Study) -> Report:
     excluded = f"; {found.failed} failed and are excluded" if found.failed else ""
     head = [
         f"Study {study.name}",
+        *(f"Inaccurate: {line}" for line in study.inaccurate()),
         f"Error budget: {budget.output}, {output.meaning}",
         f"{found.units} units{excluded}: mean {found.mean / size:.4g} {unit}, "
         f"standard deviation {found.sd / size:.4g} {unit}",

@@ -64,7 +64,7 @@ def _content(study: Study, found: Checked, source: str) -> list[Note | Table]:
         Note("\n".join(["How it will be computed:", *how])),
         *([Note(f"Assumed (not published): {assumed_text(study)}")] if study.assumed else []),
         Note("\n".join([*left, *([f"  {line}"] if (line := whole_line(study, source)) else [])])),
-        Note("\n".join(f"warning: {line}" for line in study.doubts) or "No warnings."),
+        Note("\n".join(f"warning: {line}" for line in study.doubts + study.inaccurate()) or "No warnings."),
     ]
     return [part for part in said if not isinstance(part, Note) or part.text]
 
@@ -120,5 +120,5 @@ def _data(study: Study, found: Checked) -> dict[str, object]:
         },
         "time": expected(study),
         "left_out": study.left_out,
-        "doubts": study.doubts,
+        "doubts": study.doubts + study.inaccurate(),
     }

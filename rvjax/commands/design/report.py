@@ -311,7 +311,7 @@ def _laws(study: Study, found: Designed) -> Iterator[Table | Note]:
 
 
 def _notes(study: Study, found: Designed) -> list[str]:
-    lines = [f"warning: {line}" for line in study.doubts]
+    lines = [f"warning: {line}" for line in study.doubts + study.inaccurate()]
     used = [law for law, _ in found.laws]
     if found.joint.found.feasible:
         lines += [f"warning: {line}" for line in outside(study.design, found.joint.design, used)]

@@ -38,6 +38,7 @@ def report_on(found: Statistics, study: Study) -> Report:
     head = [
         f"Study {study.name}: {found.samples:,} units, method {found.method}, seed {found.seed}",
         f"{failures_text(found)}; standard errors from {found.standard_errors}",
+        *(f"Inaccurate: {line}" for line in study.inaccurate()),
     ]
     rest = "\n".join(_verdicts(found, study))
     statistics = _statistics(found, study, judging)

@@ -7,7 +7,7 @@ from operator import attrgetter
 from typing import Any
 
 from rvjax._reducer.plausible import shown
-from rvjax.cycloidal import CycloidalReducer
+from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.geometry import least_convex_radius
 from rvjax.mounting import unit_errors
 from rvjax.records import Scalar
@@ -128,21 +128,13 @@ def refuse(design: CycloidalReducer) -> None:
 
 
 def doubts(design: CycloidalReducer) -> list[str]:
-    """Numbers with which a drive does not turn freely, or for which the model is not accurate, a line each."""
-    cycloid, output = design.cycloid, design.output
-    most, found = FAR_CLEARANCE * cycloid.eccentricity, []
+    """Numbers with which a drive does not turn freely, or which the contact law is not made for, a line each."""
+    cycloid, output, found = design.cycloid, design.output, list[str]()
     if output.hole_clearance < 0:
         found.append(
             f"design.output.hole_clearance = {shown(output.hole_clearance, 'm')}: interference, the output pins are "
             "pressed into their holes"
         )
-    flank, radial = float(cycloid.equidistant_modification), float(output.hole_clearance / 2)
-    for name, clearance in (("cycloid.equidistant_modification", flank), ("output.hole_clearance / 2", radial)):
-        if clearance > most:
-            found.append(
-                f"design.{name} = {shown(clearance, 'm')}: above eccentricity/25 = {shown(most, 'm')} forces are too "
-                "low, by up to a third at eccentricity/8"
-            )
     if design.bearings is not None:
         arm, inside = design.bearings.arm, output.circle_radius - _hole(design)
         if (reach := (arm.pitch_diameter + arm.roller_diameter) / 2) >= inside:
@@ -156,6 +148,26 @@ def doubts(design: CycloidalReducer) -> list[str]:
             'pin and hole are too alike for contact = "hertz"'
         )
     return found
+
+
+def inaccurate(design: CycloidalReducer, tolerances: CycloidalErrors) -> list[str]:
+    """Clearances with which the linear gaps give wrong forces, at the loose limits of their tolerances: one line."""
+
+    def loosest(name: str, sign: float = 1.0) -> float:
+        error = getattr(tolerances, name)
+        return 0.0 if error is None else max(sign * float(error.lower), sign * float(error.upper), 0.0)
+
+    flank = float(design.cycloid.equidistant_modification) + loosest("equidistant_modification")
+    hole = float(design.output.hole_clearance / 2) + loosest("hole_radius") + loosest("output_pin_radius", -1.0)
+    most = float(FAR_CLEARANCE * design.cycloid.eccentricity)
+    both = (("of the flanks", flank), ("of the holes (radial)", hole))
+    far = " and ".join(f"{shown(each, 'm')} {where}" for where, each in both if each > most)
+    if not far:
+        return []
+    return [
+        f"clearance up to {far}: above eccentricity/25 = {shown(most, 'm')} forces and pressures are too low, by a "
+        "third at eccentricity/8"
+    ]
 
 
 def _with_torque(text: str, numbers: Numbers, torque: Assumed | None) -> str:
@@ -193,6 +205,7 @@ KIND = Kind(
     facts=facts,
     refuse=refuse,
     doubts=doubts,
+    inaccurate=inaccurate,
     rated=RATED,
     orders=attrgetter("orders"),
     unit_errors=unit_errors,

@@ -137,6 +137,7 @@ class Kind:
         following: what follows a number that changes.
         refuse: design -> None; raises ValueError, one line, for parts that do not fit together.
         doubts: design -> lines on numbers that no known reducer has.
+        inaccurate: (design, tolerances) -> lines on errors of the results, which every result prints.
         rated: rated torque of known reducers by name, N m.
         speed: largest speed of the output of known reducers, rad/s.
         of_another_size: (design, torque) -> line on a rated torque that belongs to a reducer of another size, or "".
@@ -159,6 +160,7 @@ class Kind:
     following: Following = field(default_factory=Following)
     refuse: Callable[[Any], None] = _nothing
     doubts: Callable[[Any], list[str]] = _no_lines
+    inaccurate: Callable[[Any, Any], list[str]] = _no_lines
     rated: Mapping[str, float] = field(default_factory=dict)
     speed: float = math.inf
     of_another_size: Callable[[Any, float], str] = _no_text

@@ -304,8 +304,11 @@ class Training:
         return (margins + self.distance) * self.correction - self.distance
 
     def _slope_near(self, half_widths: np.ndarray, k: int, row: np.ndarray, margin: float) -> np.ndarray:
-        """The slope of a requirement; 0 far from its limit, and by the model of `conlin` where one is known nearby."""
-        if margin <= -IDLE * self.distance[k]:
+        """The slope of a requirement, by the model of `conlin` where one is known nearby.
+
+        0 far from its limit, and where so many units fail that no quantile is left.
+        """
+        if margin <= -IDLE * self.distance[k] or not np.isfinite(margin):
             return np.zeros(len(self.fields))
         reach = max(margin + self.distance[k], 1e-3 * self.distance[k])
         place, power = np.log(half_widths), self.powers[k]
