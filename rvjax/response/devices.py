@@ -47,10 +47,10 @@ class Evaluator:
 
     def _z(self, first: int) -> jax.Array:
         if self._points is not None:
-            z = self._points.z(first, self._count).astype(jnp.result_type(float))
+            points = self._points.z(first, self._count).astype(jnp.result_type(float))
             if self._mesh is None:
-                return jnp.asarray(z)
-            return jax.device_put(z, jax.sharding.NamedSharding(self._mesh, NUMBERS))
+                return jnp.asarray(points)
+            return jax.device_put(points, jax.sharding.NamedSharding(self._mesh, NUMBERS))
         turn, first = divmod(first, TURN)
         z = self._drawn(turn, first)
         if (rest := TURN - first) < self._count:  # numbers of 32 bits begin again within the chunk
