@@ -60,11 +60,11 @@ def meet(
 ) -> tuple[int, int, bytes]:
     """Meet the other processes in JAX's distributed runtime, and leave it.
 
-    The runtime would end all processes with a C++ trace as soon as one ends. So it only numbers them and sends a message
-    of the first to all. No backend of JAX starts, so that each process later uses its own devices alone.
+    The runtime would end all processes with a C++ trace as soon as one ends. So it only numbers them and sends one
+    message of the first to all. No backend of JAX starts, so that each process later uses its own devices alone.
 
     Args:
-        address: HOST:PORT of the first process; None: all three are those of the cluster job (Slurm, Open MPI, Kubernetes).
+        address: HOST:PORT of the first process; None: all are those of the cluster job (Slurm, Open MPI, Kubernetes).
         count: of the processes.
         number: of this one.
         limit: time to wait for the others, s.
