@@ -19,7 +19,7 @@ from rvjax import cli
 from rvjax._ground.files import digest, pack, unpack
 from rvjax.commands.montecarlo import batch
 from rvjax.render import Note, Report, new_folder, results_folder, write_files
-from rvjax.tolerances import Requirement, Tolerance, load, monte_carlo, origin
+from rvjax.tolerances import Folder, Requirement, Tolerance, load, monte_carlo, origin
 from tests.test_cli_montecarlo import SMALL
 
 ONE = {"a": Tolerance.symmetric(3.0), "b": Tolerance.symmetric(1.0)}
@@ -175,8 +175,9 @@ def test_a_result_names_the_study_as_it_was_read(tmp_path, monkeypatch):
     monkeypatch.setattr(batch, "run", edited)
     assert cli.main(["montecarlo", "small.toml", "--samples", "100", "--quiet", "--json", "a.json"]) == 0
     assert origin("a.json").study["toml"] == SMALL
-    (tmp_path / "study.toml").write_text(SMALL)  # what a worker is given, whatever the file says by now
-    assert batch.study_of("small.toml", ["address", "1", "2", str(tmp_path / "result.npz")]).text == SMALL
+    second = Folder(tmp_path, 1, 2)
+    second.put("study", SMALL.encode())  # what the first of several processes read, whatever the file says by now
+    assert batch.study_of("small.toml", second).text == SMALL
 
 
 def test_escape_sequences_do_not_reach_the_terminal(tmp_path, monkeypatch, capsys):

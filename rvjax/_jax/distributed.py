@@ -60,29 +60,33 @@ def meet(
 ) -> tuple[int, int, bytes]:
     """Meet the other processes in JAX's distributed runtime, and leave it.
 
-    The runtime would end all processes with a C++ trace as soon as one ends. So it only numbers them and hands around
-    what the first one says. No backend of JAX starts, so that each process later uses its own devices alone.
+    The runtime would end all processes with a C++ trace as soon as one ends. So it only numbers them and sends one
+    message of the first to all. No backend of JAX starts, so that each process later uses its own devices alone.
 
     Args:
-        address: HOST:PORT of the first process; None: the cluster (Slurm, Open MPI, Kubernetes) says all three.
+        address: HOST:PORT of the first process; None: all are those of the cluster job (Slurm, Open MPI, Kubernetes).
         count: of the processes.
         number: of this one.
         limit: time to wait for the others, s.
-        first: what the first process says to all; takes their number.
+        first: makes the message of the first process from their count.
 
     Returns:
-        Number of this process, their count, and what the first one said.
+        Number of this process, their count, and the message of the first one.
 
     Raises:
-        ValueError: no cluster is known here, or the first process could not say it.
+        ValueError: no cluster is known here, or the first process could not make its message.
     """
     over = threading.Event()
     where = f"{count} processes at {address}" if address else "the processes of this cluster job"
 
     def give_up() -> None:
         if not over.wait(limit):
-            said = f"--distributed: {where} did not all start within {limit:.0f} s; start them all, or set --timeout"
-            print(f"rvjax: error: {said}", file=sys.stderr, flush=True)
+            print(
+                f"rvjax: error: --distributed: {where} did not all start within {limit:.0f} s; start them all, or set "
+                "--timeout",
+                file=sys.stderr,
+                flush=True,
+            )
             os._exit(2)  # the runtime waits in C++, and would abort the process
 
     threading.Thread(target=give_up, daemon=True).start()

@@ -19,9 +19,10 @@ from rvjax.tolerances.allocating import (
 )
 from rvjax.tolerances.batch.memo import Memo as Memo
 from rvjax.tolerances.batch.monte_carlo import monte_carlo
+from rvjax.tolerances.batch.processes import Folder as Folder, Processes as Processes, take as take
 from rvjax.tolerances.batch.run import Run as Run
 from rvjax.tolerances.batch.statistics import Statistics
-from rvjax.tolerances.batch.unit_file import ENDINGS as ENDINGS, UnitFile, joined as joined
+from rvjax.tolerances.batch.unit_file import ENDINGS as ENDINGS, UnitFile
 from rvjax.tolerances.cost_curve import (
     CostCurve,
     cost_curve,

@@ -13,8 +13,7 @@ from pathlib import Path
 
 from rvjax import study, tolerances
 from rvjax._jax.blocks import CHUNK
-from rvjax.tolerances import Statistics, UnitFile
-from rvjax.tolerances.batch.processes import Folder, Processes, take
+from rvjax.tolerances import Folder, Processes, Statistics, UnitFile, take
 
 _STUDY = "study"
 """Message with the text of the study."""

@@ -8,7 +8,7 @@ import uuid
 from pathlib import Path
 
 from rvjax._jax.distributed import meet
-from rvjax.tolerances.batch.processes import Folder
+from rvjax.tolerances import Folder
 
 _PLACES = (("OMPI_COMM_WORLD_SIZE", "OMPI_COMM_WORLD_RANK"), ("PMI_SIZE", "PMI_RANK"), ("SLURM_NTASKS", "SLURM_PROCID"))
 """Variables of a launcher with the count of processes and the number of this one: Open MPI, MPICH, Slurm."""

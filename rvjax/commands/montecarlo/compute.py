@@ -12,8 +12,7 @@ from rvjax.commands.montecarlo import batch
 from rvjax.commands.montecarlo.inputs import Inputs
 from rvjax.commands.speak import READING, units_placed
 from rvjax.study import Study
-from rvjax.tolerances import Statistics
-from rvjax.tolerances.batch.processes import Processes
+from rvjax.tolerances import Processes, Statistics
 
 COUNTED = "drawing units"
 """Phase whose part done is known."""

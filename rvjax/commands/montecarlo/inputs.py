@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 from rvjax.commands.montecarlo.cluster import group_of
 from rvjax.commands.speak import check_files, share_cores
-from rvjax.tolerances import ENDINGS, UnitFile
-from rvjax.tolerances.batch.processes import Folder
+from rvjax.tolerances import ENDINGS, Folder, UnitFile
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ class Chunks:
 
     @property
     def count(self) -> int:
-        """How many they are."""
+        """Number of chunks."""
         return sum(stop - first for first, stop in self.ranges)
 
     @property

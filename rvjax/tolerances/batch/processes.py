@@ -48,7 +48,7 @@ class Alone:
     number, count = 0, 1
 
     def put(self, name: str, content: bytes) -> None:
-        """Nobody reads."""
+        """There is no reader."""
 
     def get(self, name: str) -> bytes | None:
         """No message ever comes."""
@@ -178,7 +178,7 @@ class Folder:
                 self._lost = self._lost or self._end_of(number)
 
     def _end_of(self, number: int) -> str:
-        """Why a process has ended too early; empty while it lives."""
+        """Message about a process that has ended too early; empty while it lives."""
         name = f"process {number + 1} of {self.count}"
         if (reason := self.get(f"failed-{number}")) is not None:
             said = reason.decode(errors="replace")
