@@ -114,7 +114,7 @@ def made(phases=3, **changes):
         bearings=names, centre=each[0], each=each, load=each / HOUR, first=np.array([0.3, 0.6, 0.1]),
         held={"pin_ring": (10 * HOUR, 5 * HOUR), "disc_bore": (90 * HOUR, 70 * HOUR)}, duty=duty,
         phases=np.array([0.9, 0.1, 0.0])[:phases], torque=np.array([200.0, 400.0]), speed=15 * rpm,
-        of_torque=np.array([[9.0, 5, 7, 8], [0.9, 0.5, 0.7, 0.8]]) * 1e3 * HOUR, orders=orders, force=force, pins=40,
+        of_torque=np.array([[9.0, 5, 7, 8], [0.9, 0.5, 0.7, 0.8]]) * 1e3 * HOUR, orders=orders, force=force, crank=-40,
     )  # fmt: skip
     return dataclasses.replace(lives, **changes)
 

@@ -10,6 +10,7 @@ from rvjax.life.causes import (
     phase_shares as phase_shares,
 )
 from rvjax.life.duty import Duty
+from rvjax.life.kinds import crank_order as crank_order
 from rvjax.life.rated import RatedTorque, rated_torque
 from rvjax.life.rating import Rating, rating
 from rvjax.life.ratings import dynamic_rating, static_rating

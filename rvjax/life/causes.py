@@ -66,7 +66,7 @@ def phase_shares(life_of: Callable[[Duty], np.ndarray], duty: Duty) -> np.ndarra
 class Orders(NamedTuple):
     """Harmonics of the forces of the arm bearings over one revolution of the output."""
 
-    order: np.ndarray  # (n,), > 0: turns as the carrier does, -zp: turns with the crank
+    order: np.ndarray  # (n,), > 0: turns as the output does, `crank_order`: with the crank
     amplitude: jax.Array  # (d, c, n) complex N: F_x + i F_y = sum of amplitude e^(i order angle), frame of the carrier
     info: SolveInfo
 
@@ -84,7 +84,7 @@ def force_orders(
     """Orders of the output revolution in the force of a crank on a disc, in the frame of the carrier.
 
     Order 0 is fixed in the outer ring and passes over the inner ring. Order -zp turns with the crank: it is fixed in
-    the inner ring. Errors make the others.
+    the inner ring. It is zp where the ring of a single-stage drive is the output. Errors make the others.
 
     Args:
         design: the reducer.

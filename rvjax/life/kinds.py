@@ -38,6 +38,15 @@ KINDS: dict[type, Kind] = {
 }
 
 
+def crank_order(design: PyTree) -> int:
+    """Order of the output revolution, in the frame of the carrier, of a force that turns with the cranks.
+
+    Args:
+        design: one of `KINDS`.
+    """
+    return kind_of(design).sense(design) * int(design.counts["pins"])
+
+
 def kind_of(design: PyTree) -> Kind:
     """Entry of `KINDS` for a design.
 

@@ -83,12 +83,12 @@ def _largest_orders(lives: Lives) -> list[int]:
     return [int(k) for k in np.argsort(-np.nan_to_num(lives.force[:, 1]), kind="stable")[:ORDERS_SHOWN]]
 
 
-def _meaning(order: int, pins: int) -> str:
+def _meaning(order: int, crank: int) -> str:
     if order == 0:
         return "fixed in the carrier"
-    if order == -pins:
+    if order == crank:
         return "turns with the crank"
-    return "pins and teeth" if order % pins == 0 else "errors of the parts"
+    return "pins and teeth" if order % crank == 0 else "errors of the parts"
 
 
 def _orders(lives: Lives) -> Table:
@@ -98,7 +98,7 @@ def _orders(lives: Lives) -> Table:
         _size("at the centre, N", "N", "N"),
         _size("rms of the units, N", "N", "N"),
     ]
-    rows = [[int(lives.orders[k]), _meaning(int(lives.orders[k]), lives.pins), *lives.force[k]]
+    rows = [[int(lives.orders[k]), _meaning(int(lives.orders[k]), lives.crank), *lives.force[k]]
             for k in _largest_orders(lives)]  # fmt: skip
     torque = float(np.max(np.abs(lives.duty[:, 0])))
     bearing = lives.bearings[lives.weakest]
@@ -138,7 +138,7 @@ def _figure(lives: Lives) -> Figure:
         from rvjax import plotting
 
         rows = _largest_orders(lives)
-        names = [f"{int(lives.orders[k])}, {_meaning(int(lives.orders[k]), lives.pins)}" for k in rows]
+        names = [f"{int(lives.orders[k])}, {_meaning(int(lives.orders[k]), lives.crank)}" for k in rows]
         weakest = lives.bearings[lives.weakest]
         return plotting.life.first_failures(
             lives.bearings, lives.first, names, lives.force[rows], weakest=weakest

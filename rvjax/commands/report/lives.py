@@ -46,7 +46,7 @@ class Lives:
         of_torque: life with errors at the centre; low, 50 % and high quantile over the units, at each torque (t, 4).
         orders: of the output revolution in the force of the arm bearing that fails first most often (k,).
         force: amplitude at the centre, and root mean square over the units, of each order (k, 2) N.
-        pins: of the ring; the cranks turn as often in a revolution of the output.
+        crank: order of a force that turns with the crank: as often as the ring has pins, < 0 against the output.
     """
 
     method: str
@@ -67,7 +67,7 @@ class Lives:
     of_torque: Values
     orders: NDArray[np.int64]
     force: Values
-    pins: int
+    crank: int
 
     @property
     def weakest(self) -> int:
@@ -209,7 +209,7 @@ def lives_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> Liv
         of_torque=np.asarray(curve),
         orders=np.rint(np.fft.fftfreq(8 * pins, 1 / (8 * pins))).astype(int),
         force=np.stack([wave[0], np.sqrt(np.nanmean(wave[1:] ** 2, axis=0))], axis=1),
-        pins=pins,
+        crank=life.crank_order(unit.design),
     )
 
 
