@@ -256,8 +256,8 @@ class CycloidalReducer(Record):
         whole = {"disc teeth": teeth, "pins": pins, "twice the disc teeth": 2 * teeth, "twice the pins": 2 * pins}
         whole |= {"holes": holes, "twice the holes": 2 * holes, "three times the holes": 3 * holes}
         whole |= {"passing of the pins": teeth * pins}
-        whole |= {"shaft": abs(self.ratio), "shaft against the output": abs(self.ratio - 1)}
-        return {name: float(order) for name, order in whole.items()}
+        shaft = {"shaft": abs(self.ratio), "shaft against the output": abs(self.ratio - 1)}
+        return {name: float(order) for name, order in whole.items()} | shaft
 
     def stiffer(self, factor: Scalar) -> Self:
         """Drive with all spring stiffnesses multiplied by a factor."""

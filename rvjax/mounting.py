@@ -1,8 +1,8 @@
 """Errors of one unit from measured parts: possible positions of a part, and its errors in each position.
 
-Disc and carrier meet at c equal places: the cranks of an RV reducer, the output pins of a single-stage drive. A disc may
-be turned by their spacing, and turned over about the x axis, if its teeth are then where the slot requires them. Teeth:
-the tooth spaces of disc k are at (t - k/nd) 2 pi/zc at input angle 0, and tooth t is before its space
+Disc and carrier meet at c equal places: the cranks of an RV reducer, the output pins of a single-stage drive. A disc
+may be turned by their spacing, and turned over about the x axis, if its teeth are then where the slot requires them.
+Teeth: the tooth spaces of disc k are at (t - k/nd) 2 pi/zc at input angle 0, and tooth t is before its space
 (docs/models/loaded.md, Eqs. 2 and 6). So a disc made for slot k0, turned by i spacings, fits slot k where
 
     i zc/c + (k -+ k0)/nd   is a whole number of teeth (- as it is, + turned over),
@@ -114,13 +114,11 @@ def mounted_disc(
     return found
 
 
-def unit_errors(
-    design: PyTree, parts: Mapping[str, Mapping[str, Scalar]], index: Mapping[str, int | Array]
-) -> PyTree:
+def unit_errors(design: PyTree, parts: Mapping[str, Mapping[str, Scalar]], index: Mapping[str, int | Array]) -> PyTree:
     """Errors of a unit from its parts, in the error record of the design.
 
-    Slots: "disc_0", "disc_1" .. (made for slot 0 where such a disc fits, else for their own), of an RV reducer "crank_0"
-    .., "carrier", and any other name for parts that hold whole errors (bearings, pins, ring, sun, shaft).
+    Slots: "disc_0", "disc_1" .. (made for slot 0 where such a disc fits, else for their own), "carrier", of an RV
+    reducer "crank_0" .., and any other name for parts that hold whole errors (bearings, pins, ring, sun, shaft).
 
     Args:
         design: counts are read.

@@ -75,6 +75,15 @@ def test_outputs_of_a_study_are_those_of_the_rating():
     assert "eccentric bearing" in kind.outputs["arm_bearing_life"].meaning
 
 
+def test_the_force_of_a_ring_as_output_turns_with_the_shaft():
+    """Seen from the carrier the shaft turns zp times with the ring, as often against the output that is a carrier."""
+    found = life.force_orders(RING, CycloidalErrors(), output_torque=-116.0, samples=240, contact="linear")
+    size = np.abs(np.asarray(found.amplitude)[0, 0])
+    assert found.info.status == 0
+    assert found.order[int(np.argmax(size))] == life.crank_order(RING) == 30 == -life.crank_order(DRIVE)
+    assert size[found.order == -30] < 0.01 * size.max() and size[found.order == 0] < 0.01 * size.max()
+
+
 @pytest.mark.parametrize("design", [pytest.param(DRIVE, marks=pytest.mark.long), RING], ids=["carrier", "ring"])
 def test_a_torque_for_a_life_gives_it_back(design):
     options = PLAN | dict(contact="linear", samples=5)

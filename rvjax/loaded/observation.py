@@ -1,4 +1,4 @@
-"""Bench observations of a reducer under load, of every kind: orders of the transmission error, and the hysteresis curve.
+"""Bench observations of a reducer under load: orders of the transmission error, and the hysteresis curve.
 
 All angles of a turn are solved next to each other: with slopes of fifty elements that is cheaper than from one angle to
 the next. Every observation is linear in the errors at single angles, so that each equilibrium is solved for its slopes

@@ -104,10 +104,10 @@ def phases(inputs: Inputs) -> dict[str, float]:
 
 def _mirrored(plan: Plan, objective: str) -> Plan:
     """The plan of the opposite response in values of the response itself; its bound is an upper one."""
-    bounds = {} if objective == "yield" else dict(objective=-plan.objective, lower_bound=-plan.lower_bound)
-    own = plan.random
+    own, sense = plan.random, 1 if objective == "yield" else -1
     random = dataclasses.replace(own, value=-own.value, lower=-own.upper, upper=-own.lower)
-    return dataclasses.replace(plan, values=-plan.values, random=random, **bounds)
+    bounds = dataclasses.replace(plan, objective=sense * plan.objective, lower_bound=sense * plan.lower_bound)
+    return dataclasses.replace(bounds, values=-plan.values, random=random)
 
 
 def compute(inputs: Inputs) -> Assembled:

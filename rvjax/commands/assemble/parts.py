@@ -94,7 +94,9 @@ class Bench:
         return self._mirrored, dataclasses.replace(self.requirement, **limits)
 
     def _mirrored(self, parts: PyTree, index: PyTree) -> PyTree:
-        return jax.tree.map(lambda leaf: leaf if jnp.issubdtype(leaf, jnp.integer) else -leaf, self.response(parts, index))
+        return jax.tree.map(
+            lambda leaf: leaf if jnp.issubdtype(leaf, jnp.integer) else -leaf, self.response(parts, index)
+        )
 
 
 def bench(study: Study, path: str | Path) -> Bench:
