@@ -318,7 +318,7 @@ def _checked(owner: str, f: Field, value: PyTree) -> PyTree:
 def _specifies(item: Record) -> bool:
     """Return true for axes in the place of numbers, as `in_axes` has them: a number that is required is None.
 
-    Whole numbers without None are numbers of a part; `Record.replace` knows of a copy what they are.
+    Whole numbers without None are numbers of a part; `Record.replace` keeps those of a copy as they are.
     """
     values = {f.name: getattr(item, f.name) for f in dataclasses.fields(item)}
     return (

@@ -9,6 +9,7 @@ from rvjax.cycloidal import CycloidalReducer
 from rvjax.plotting import drawings
 from rvjax.plotting.drawings import GREY, flank, turned, unit_vector
 from rvjax.plotting.style import AFTER, BEFORE, PALETTE, new_axes
+from rvjax.records import Scalar
 from rvjax.units import mm
 
 DISCS = (AFTER, BEFORE, PALETTE[2], PALETTE[3])
@@ -141,8 +142,8 @@ def _shaft(design: CycloidalReducer, axes: Axes) -> None:
     axes.plot(0, 0, "+", color="black", ms=9, zorder=5)
 
 
-def _circles(axes: Axes, circle: object, radius: object, count: int, colour: str, centre: object = 0.0) -> None:
+def _circles(axes: Axes, circle: Scalar, radius: Scalar, count: int, colour: str, centre: Scalar = 0.0) -> None:
     """Equal circles round a centre, the first on the x axis; m."""
     for angle in 2 * np.pi * np.arange(count) / count:
-        middle = tuple((float(circle) * unit_vector(angle) + centre) / mm)
+        middle = tuple((float(circle) * unit_vector(angle) + np.asarray(centre)) / mm)
         axes.add_patch(Circle(middle, float(radius) / mm, fc=colour, ec=GREY, lw=0.8, zorder=3))

@@ -82,7 +82,7 @@ def life_against_torque(
     if limit is not None:
         axes.axhline(limit / HOUR, color=LIMIT, lw=1.5, label=f"limit {limit / HOUR:.4g} h")
     axes.set(xscale="log", yscale="log", xlabel="output torque (N m)", ylabel="life (h)")
-    axes.set_title("Life of the crank bearings against torque and speed")
+    axes.set_title("Life of the rated bearings against torque and speed")
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 3, 5)))
     axes.xaxis.set_major_formatter(ScalarFormatter())
     axes.xaxis.set_minor_formatter(lambda *_: "")

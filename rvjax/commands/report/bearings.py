@@ -6,7 +6,7 @@ import numpy as np
 
 from rvjax.commands.report.lives import LIVES, LOW, Lives
 from rvjax.render import Content, Figure, Note, Number, Section, Share, Table, Text
-from rvjax.study import Study
+from rvjax.study import Kind, Study, kind_of
 from rvjax.units import rpm
 
 if TYPE_CHECKING:
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 ORDERS_SHOWN = 6
 ERRORS_SHOWN = 8
 HOUR = 3600.0
-SPREAD = {4: 5.3, 6: 2.7, 8: 2.2, 12: 1.5, 24: 0.5}
-"""By the number of angles: standard deviation of the life of a unit in percent, rv-40e-whole, against 960 angles."""
+SPREAD = {"rv": {4: 5.3, 6: 2.7, 8: 2.2, 12: 1.5, 24: 0.5}}
+"""By kind and number of angles: standard deviation of the life of a unit in %, rv-40e-whole, against 960 angles."""
 LIMITS = (
     "The model is plane: it has no tilt of crank or disc (1 mrad costs a quarter of the life), no moment load, no "
     "axial force and no edge load, so the lives are optimistic. Lives of different methods differ in level: at the "
@@ -46,14 +46,17 @@ def bearing_section(lives: Lives, study: Study) -> Section:
     parts.append(_against_torque(lives, limit if np.isfinite(limit) and shown[0] == "life" else None))
     if len(lives.duty) > 1:
         parts += [_phase_figure(lives), _phases(lives)]
-    return Section("Bearing life", (*parts, Note(f"{_angles(lives.samples)} {LIMITS}")))
+    return Section("Bearing life", (*parts, Note(f"{_angles(lives.samples, kind_of(study.design))} {LIMITS}")))
 
 
-def _angles(samples: int) -> str:
+def _angles(samples: int, kind: Kind) -> str:
     """Error by the number of angles."""
-    spread = SPREAD[max(count for count in SPREAD if count <= max(samples, min(SPREAD)))]
+    computed = f"Forces are computed at {samples} angles of a revolution of the output."
+    if (measured := SPREAD.get(kind.word)) is None:
+        return f"{computed} The effect of this number on the life of {kind.plural} is not measured."
+    spread = measured[max(count for count in measured if count <= max(samples, min(measured)))]
     return (
-        f"Forces are computed at {samples} angles of a revolution of the output. In the study rv-40e-whole so many "
+        f"{computed} In the study rv-40e-whole so many "
         f"angles change the life of a unit by at most {spread:g} % (standard deviation over the units), and the mean "
         f"life by less than 0.1 %."
     )
@@ -158,7 +161,7 @@ def _against_torque(lives: Lives, limit: float | None) -> Figure:
             lives.torque, lives.of_torque, low=LOW, speeds=speeds, speed=lives.speed, limit=limit
         )
 
-    return Figure("life_torque", "Life of all crank bearings of a unit against a constant torque", draw)
+    return Figure("life_torque", "Life of all rated bearings of a unit against a constant torque", draw)
 
 
 def _phase_figure(lives: Lives) -> Figure:
