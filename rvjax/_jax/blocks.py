@@ -1,9 +1,9 @@
 """Sizes of blocks and calls, and rows filled up to such a size.
 
 A block is what a loop of a program computes together, a call what the host gives to a program together. Both depend on
-the platform: the arrays of a block fit the cache of a core, and a GPU computes 17,000 cases at once. The size of a block
-is read where a program is lowered, that of a call where its arrays are placed. A process with a GPU may compute on its
-processor, so neither follows the default of the process.
+the platform: the arrays of a block fit the cache of a core, and a GPU computes 17,000 cases at once. The size of a
+block is read where a program is lowered, that of a call where its arrays are placed. A process with a GPU may compute
+on its processor, so neither follows the default of the process.
 """
 
 import sys
