@@ -45,30 +45,32 @@ def test_outputs_are_the_losses_of_the_unit():
     """The output turns backwards, so a positive torque drives the input."""
     given = models.kind(DRIVE).conditions(output_torque=8.8, output_speed=-2.0, running_samples=6)
     names = ("efficiency", "backward_efficiency", "starting_torque", "no_load_torque", "power_loss")
-    errors = DRIVE.error_record(pin_radius=3e-6, ring_pin_friction=0.3)
+    errors = DRIVE.error_record(pin_radii=3e-6 * np.cos(np.arange(18.0) ** 2), ring_pin_friction=0.3)
     found = jax.jit(Response.of(DRIVE, names, given))(errors)
     due = running.losses(DRIVE, errors, output_torque=8.8, output_speed=-2.0, samples=6)
     for name in names:
         np.testing.assert_allclose(found.value[name], getattr(due, name), rtol=1e-9, err_msg=name)
+    assert abs(due.power_loss / (2.0 * 8.8 * (1 / due.efficiency - 1)) - 1) > 1e-4  # the sets differ
     assert found.value["efficiency"] > 0.5 and found.value["power_loss"] > 0
 
 
-SETS = [
-    (8.8, ("efficiency",), (8.8,)),
-    (-8.8, ("backward_efficiency",), (-8.8,)),
-    (8.8, ("starting_torque", "no_load_torque"), (0.0,)),
-    (8.8, ("power_loss", "efficiency"), (8.8,)),
-    (-8.8, ("power_loss", "starting_torque"), (0.0, -8.8)),
-    (8.8, ("starting_torque", "efficiency", "backward_efficiency"), (0.0, 8.8, -8.8)),
+SETS = [  # torque, speed, outputs, torques of the equilibria
+    (8.8, 1.0, ("efficiency",), (8.8,)),
+    (-8.8, 1.0, ("backward_efficiency",), (-8.8,)),
+    (8.8, -1.0, ("power_loss",), (8.8,)),
+    (8.8, 1.0, ("starting_torque", "no_load_torque"), (0.0,)),
+    (8.8, 1.0, ("power_loss", "efficiency"), (8.8,)),
+    (-8.8, 1.0, ("power_loss", "starting_torque"), (0.0, -8.8)),
+    (8.8, 1.0, ("starting_torque", "efficiency", "backward_efficiency"), (0.0, 8.8, -8.8)),
 ]
 
 
-@pytest.mark.parametrize(("torque", "names", "due"), SETS)
-def test_outputs_pay_for_the_equilibria_that_they_read(monkeypatch, torque, names, due):
+@pytest.mark.parametrize(("torque", "speed", "names", "due"), SETS)
+def test_outputs_pay_for_the_equilibria_that_they_read(monkeypatch, torque, speed, names, due):
     asked = []
     real = sets.turned
     monkeypatch.setattr(sets, "turned", lambda d, e, g, torques: asked.append(torques) or real(d, e, g, torques))
-    given = models.kind(DRIVE).conditions(output_torque=torque, output_speed=1.0, running_samples=2)
+    given = models.kind(DRIVE).conditions(output_torque=torque, output_speed=speed, running_samples=2)
     jax.eval_shape(Response.of(DRIVE, names, given), DRIVE.error_record())
     assert asked == [due]
 
