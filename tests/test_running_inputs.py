@@ -1,5 +1,7 @@
 """Friction that cannot be, in one line each; drag from speed ramps; inertias of a joint."""
 
+import re
+
 import numpy as np
 import pytest
 import running_cases as cases
@@ -55,9 +57,9 @@ REFUSED = {
 
 @pytest.mark.parametrize("told", REFUSED)
 def test_what_cannot_be_is_one_line(told):
-    with pytest.raises(ValueError) as error:
+    with pytest.raises(ValueError, match=re.escape(told)) as error:
         REFUSED[told]()
-    assert told in str(error.value) and "\n" not in str(error.value)
+    assert "\n" not in str(error.value)
 
 
 def ramps(random, points=60):
@@ -75,7 +77,7 @@ def test_drag_of_ramps_comes_back_within_its_own_spread():
     for name, due in (("coulomb", 3.7), ("viscous", 0.1)):
         off = (np.array([float(getattr(fit, name)) for fit in fits]) - due) / float(getattr(fits[0], f"{name}_sd"))
         assert abs(off.mean()) < 0.25 and 0.85 < off.std() < 1.15  # 200 fits: 7 % of a standard deviation
-    assert np.mean([float(fit.residual_sd) for fit in fits]) == pytest.approx(0.15, rel=0.02)
+    assert np.mean([float(fit.residual_sd) for fit in fits]) == pytest.approx(0.15, rel=0.008)
     half = running.fit_drag(speed[::2], torque[::2])
     told = half.coulomb * np.sign(speed) + half.viscous * speed + half.offset
     assert np.std((told - torque)[1::2]) < 0.2

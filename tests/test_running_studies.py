@@ -8,6 +8,7 @@ import tomllib
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -18,6 +19,7 @@ from rvjax.commands.report.losses import BAND, SPEEDS, TORQUES, UnitLosses
 from rvjax.loaded import MACHINE
 from rvjax.render import Report
 from rvjax.running import sets
+from rvjax.status import SolveInfo
 from rvjax.study.response import Response
 
 FRICTION = Friction(ring_pins=0.05, output_pins=0.04, arm_bearings=0.002, input_drag=0.01, input_viscous=1e-4)
@@ -187,3 +189,25 @@ def test_the_study_of_the_docs():
     assert study.kind_of(found.design).name == "an RV reducer" and set(tomllib.loads(unit)["errors"]) <= set(
         vars(found.design.error_record())
     )
+
+
+def test_hysteresis_at_the_probe_angles_and_back_driving_in_the_direction_of_motion(monkeypatch):
+    """Widths 1 + cos(18 angle/ratio) at the probe angles; the largest counts, and the worst status."""
+    info = SolveInfo(jnp.int32(0), jnp.int32(1), jnp.float64(0))
+
+    def width(design, errors, *, input_angle, **_):
+        return running.Hysteresis(1 + jnp.cos(18 * input_angle / DRIVE.ratio), jnp.float64(1), info)
+
+    def back(design, errors, *, direction, samples, **_):
+        return running.BackDriving(jnp.float64(samples + {"forward": 0.25, "backward": 0.75}[direction]), info)
+
+    monkeypatch.setattr(sets, "hysteresis", width)
+    monkeypatch.setattr(sets, "back_driving", back)
+    kind, names, errors = models.kind(DRIVE), ("hysteresis", "back_driving_torque"), DRIVE.error_record()
+    for speed, due in ((None, 6.25), (1.0, 6.25), (-1.0, 6.75)):
+        angle = np.pi / 2 * DRIVE.ratio / 18  # a quarter of a crank turn
+        given = kind.conditions(output_speed=speed, running_samples=6, probe_angles=3, input_angle=angle)
+        found = Response.of(DRIVE, names, given)(errors)
+        assert float(found.value["back_driving_torque"]) == due and int(found.status) == 0
+        phases = np.pi / 2 + 2 * np.pi * np.arange(3) / 3
+        np.testing.assert_allclose(found.value["hysteresis"], np.max(1 + np.cos(phases)))

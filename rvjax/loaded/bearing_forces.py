@@ -82,7 +82,7 @@ def _measure(
     found: Found,
     status: jax.Array,
 ) -> PyTree:
-    """What is wanted at one angle under every torque, with its derivatives."""
+    """Results at one angle under every torque, with their derivatives."""
     case = prepare(layout, read, angle)
 
     def of_one(torque: jax.Array, found: Found, status: jax.Array) -> PyTree:

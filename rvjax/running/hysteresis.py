@@ -39,7 +39,7 @@ def hysteresis(
 ) -> Hysteresis:
     """Width of the loop at zero torque: that of the curve without friction between both signs of the friction torque.
 
-    The slip is that of the elastic motion with the input held, about a fortieth of that of the ideal motion. Drag of
+    Sliding speeds are those of the elastic motion with the input held, about a fortieth of the ideal ones. Drag of
     the input, meshes, output pins, load-free moments and viscous drag do not count. docs/models/running.md, Eqs. 16-18.
 
     Args:

@@ -1,4 +1,4 @@
-"""What every function of friction checks: plan of a call, coefficients of the unit, bearings."""
+"""Checks that every function of friction needs: plan of a call, coefficients of the unit, bearings."""
 
 from typing import NamedTuple
 

@@ -115,7 +115,7 @@ def around(plan: Plan, call: Call, torques: jax.Array, start: jax.Array | None =
 
 
 def ring_slip(call: Call, case: Case) -> jax.Array:
-    """Slip of each ring pin per radian of the carrier against the ring, (d, p) m, signed. Eq. 1.
+    """Sliding at each ring pin per radian of the carrier against the ring, (d, p) m, signed. Eq. 1.
 
     Args:
         call: radii are read.
