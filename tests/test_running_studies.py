@@ -8,6 +8,7 @@ import tomllib
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -18,6 +19,7 @@ from rvjax.commands.report.losses import BAND, SPEEDS, TORQUES, UnitLosses
 from rvjax.loaded import MACHINE
 from rvjax.render import Report
 from rvjax.running import sets
+from rvjax.status import SolveInfo
 from rvjax.study.response import Response
 
 FRICTION = Friction(ring_pins=0.05, output_pins=0.04, arm_bearings=0.002, input_drag=0.01, input_viscous=1e-4)
@@ -45,30 +47,32 @@ def test_outputs_are_the_losses_of_the_unit():
     """The output turns backwards, so a positive torque drives the input."""
     given = models.kind(DRIVE).conditions(output_torque=8.8, output_speed=-2.0, running_samples=6)
     names = ("efficiency", "backward_efficiency", "starting_torque", "no_load_torque", "power_loss")
-    errors = DRIVE.error_record(pin_radius=3e-6, ring_pin_friction=0.3)
+    errors = DRIVE.error_record(pin_radii=3e-6 * np.cos(np.arange(18.0) ** 2), ring_pin_friction=0.3)
     found = jax.jit(Response.of(DRIVE, names, given))(errors)
     due = running.losses(DRIVE, errors, output_torque=8.8, output_speed=-2.0, samples=6)
     for name in names:
         np.testing.assert_allclose(found.value[name], getattr(due, name), rtol=1e-9, err_msg=name)
+    assert abs(due.power_loss / (2.0 * 8.8 * (1 / due.efficiency - 1)) - 1) > 1e-4  # the sets differ
     assert found.value["efficiency"] > 0.5 and found.value["power_loss"] > 0
 
 
-SETS = [
-    (8.8, ("efficiency",), (8.8,)),
-    (-8.8, ("backward_efficiency",), (-8.8,)),
-    (8.8, ("starting_torque", "no_load_torque"), (0.0,)),
-    (8.8, ("power_loss", "efficiency"), (8.8,)),
-    (-8.8, ("power_loss", "starting_torque"), (0.0, -8.8)),
-    (8.8, ("starting_torque", "efficiency", "backward_efficiency"), (0.0, 8.8, -8.8)),
+SETS = [  # torque, speed, outputs, torques of the equilibria
+    (8.8, 1.0, ("efficiency",), (8.8,)),
+    (-8.8, 1.0, ("backward_efficiency",), (-8.8,)),
+    (8.8, -1.0, ("power_loss",), (8.8,)),
+    (8.8, 1.0, ("starting_torque", "no_load_torque"), (0.0,)),
+    (8.8, 1.0, ("power_loss", "efficiency"), (8.8,)),
+    (-8.8, 1.0, ("power_loss", "starting_torque"), (0.0, -8.8)),
+    (8.8, 1.0, ("starting_torque", "efficiency", "backward_efficiency"), (0.0, 8.8, -8.8)),
 ]
 
 
-@pytest.mark.parametrize(("torque", "names", "due"), SETS)
-def test_outputs_pay_for_the_equilibria_that_they_read(monkeypatch, torque, names, due):
+@pytest.mark.parametrize(("torque", "speed", "names", "due"), SETS)
+def test_outputs_pay_for_the_equilibria_that_they_read(monkeypatch, torque, speed, names, due):
     asked = []
     real = sets.turned
     monkeypatch.setattr(sets, "turned", lambda d, e, g, torques: asked.append(torques) or real(d, e, g, torques))
-    given = models.kind(DRIVE).conditions(output_torque=torque, output_speed=1.0, running_samples=2)
+    given = models.kind(DRIVE).conditions(output_torque=torque, output_speed=speed, running_samples=2)
     jax.eval_shape(Response.of(DRIVE, names, given), DRIVE.error_record())
     assert asked == [due]
 
@@ -185,3 +189,25 @@ def test_the_study_of_the_docs():
     assert study.kind_of(found.design).name == "an RV reducer" and set(tomllib.loads(unit)["errors"]) <= set(
         vars(found.design.error_record())
     )
+
+
+def test_hysteresis_at_the_probe_angles_and_back_driving_in_the_direction_of_motion(monkeypatch):
+    """Widths 1 + cos(18 angle/ratio) at the probe angles; the largest counts, and the worst status."""
+    info = SolveInfo(jnp.int32(0), jnp.int32(1), jnp.float64(0))
+
+    def width(design, errors, *, input_angle, **_):
+        return running.Hysteresis(1 + jnp.cos(18 * input_angle / DRIVE.ratio), jnp.float64(1), info)
+
+    def back(design, errors, *, direction, samples, **_):
+        return running.BackDriving(jnp.float64(samples + {"forward": 0.25, "backward": 0.75}[direction]), info)
+
+    monkeypatch.setattr(sets, "hysteresis", width)
+    monkeypatch.setattr(sets, "back_driving", back)
+    kind, names, errors = models.kind(DRIVE), ("hysteresis", "back_driving_torque"), DRIVE.error_record()
+    for speed, due in ((None, 6.25), (1.0, 6.25), (-1.0, 6.75)):
+        angle = np.pi / 2 * DRIVE.ratio / 18  # a quarter of a crank turn
+        given = kind.conditions(output_speed=speed, running_samples=6, probe_angles=3, input_angle=angle)
+        found = Response.of(DRIVE, names, given)(errors)
+        assert float(found.value["back_driving_torque"]) == due and int(found.status) == 0
+        phases = np.pi / 2 + 2 * np.pi * np.arange(3) / 3
+        np.testing.assert_allclose(found.value["hysteresis"], np.max(1 + np.cos(phases)))
