@@ -75,10 +75,10 @@ def equilibrium(
         sun: "fixed", or "floating" on `stiffness.sun_support` and `sun_torsion`; below zero these are INVALID_GEOMETRY.
 
     Returns:
-        Loaded. Status CONVERGED; UNLOADED: no pin of the ring pressed, with a torque that the centring springs carry
-        (of a single-stage drive through its output pins); no contact at all, without torque; or forces lost in the rounding of the gaps (residual above 1.5e-8, in float32 3.5e-4); or with NaN values
-        NONFINITE, INVALID_GEOMETRY, UNDERCUT, CONTACT_OVERLOAD (hertz: pin depth at its limit, or
-        an output pin whose contact is wider than 0.6 of its radius), MAX_STEPS.
+        Loaded. Status CONVERGED; UNLOADED: nothing pressed without torque, no pin of the ring pressed by a torque that
+        the centring springs carry, or forces lost in the rounding of the gaps (residual above 1.5e-8, in float32
+        3.5e-4); or with NaN values NONFINITE, INVALID_GEOMETRY, UNDERCUT, CONTACT_OVERLOAD (hertz: pin depth at its
+        limit, or an output pin whose contact is wider than 0.6 of its radius), MAX_STEPS.
 
     Raises:
         ValueError: unknown methods, a design without stiffness or contact or with another tooth difference than one,
