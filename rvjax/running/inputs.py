@@ -88,7 +88,7 @@ def check_call(
                 f"Friction.gear_meshes = {quantity(friction.gear_meshes, '-')}: must be 0 for a {kind}; it has no mesh"
             )
         if bearings is not None:
-            check_alone(bearings, kind)
+            check_alone(bearings, kind, "Bearings")
     for name in ("arm_bearings", "support_bearings"):
         if getattr(friction, name) is not None and bearings is None:
             raise ValueError(f"{kind}.bearings = None: Friction.{name} needs them; give Bearings(arm=RollerBearing())")
