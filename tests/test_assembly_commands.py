@@ -436,7 +436,5 @@ def test_bad_options_are_one_line(files, capsys):
     assert "--angle-sd = '5': " in refused(capsys, "compensate", "my.toml", "curve.csv", "--angle-sd", "5")
     assert "no such data file" in refused(capsys, "compensate", "my.toml", "none.csv")
     assert "no such list of parts" in refused(capsys, "assemble", "my.toml", "none.csv")
-    with pytest.raises(
-        study.StudyError, match="parts are matched for RV reducers and single-stage cycl"
-    ):
+    with pytest.raises(study.StudyError, match="parts are matched for RV reducers and single-stage cycl"):
         bench(study.load("corr", solve=False), "parts.csv")
