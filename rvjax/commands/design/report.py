@@ -7,7 +7,6 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from rvjax._ground.files import versions
 from rvjax._reducer.plausible import steep
 from rvjax.commands.allocate import shortfall_text
 from rvjax.commands.cells import (
@@ -15,12 +14,12 @@ from rvjax.commands.cells import (
     evaluated,
     failures_text,
     limit_text,
-    limits_data,
     limits_of,
     share,
 )
 from rvjax.commands.design import live
-from rvjax.commands.design.compute import Designed, Point
+from rvjax.commands.design.compute import Designed
+from rvjax.commands.design.data import data
 from rvjax.commands.design.figures import figures
 from rvjax.commands.design.inputs import Inputs
 from rvjax.commands.design.prices import limit_price, nominal_limit, priced_per, prices, slope, unit_of_number
@@ -67,7 +66,7 @@ def report(inputs: Inputs, found: Designed) -> Report:
         ),
         status=joint.status,
         ok=joint.status == "OPTIMAL",
-        data=_data(study, found),
+        data=data(study, found),
         files={"study.toml": study.text.encode()},
         page="",
         facts={
@@ -332,53 +331,3 @@ def _boxes(study: Study, found: Designed) -> list[tuple[str, str, str]]:
         before = shown(number_at(study.design, path), unit)
         boxes.append((path.rpartition(".")[2].replace("_", " "), shown(value, unit), f"from {before}"))
     return boxes
-
-
-def _point(study: Study, point: Point | None) -> dict[str, Any] | None:
-    if point is None:
-        return None
-    found = point.found
-    return {
-        "status": found.status, "cost": found.cost, "tolerance_cost": point.of_tolerances(study),
-        "priced_outputs": point.priced(study), "values": found.values, "half_widths": found.half_widths,
-        "outputs_without_errors": point.outputs, "price_factor": point.factor,
-    }  # fmt: skip
-
-
-def _data(study: Study, found: Designed) -> dict[str, Any]:
-    """Result as JSON values in SI."""
-    joint = found.joint.found
-    return {
-        "study": study.name,
-        "about": study.about,
-        "status": joint.status,
-        "feasible": joint.feasible,
-        "reason": joint.reason,
-        "seed": study.seed,
-        "samples": study.samples,
-        "versions": versions(),
-        "cost": {"before": joint.start_cost, "after": joint.cost},
-        "values": joint.values,
-        "bounds_active": joint.bounds_active,
-        "value_prices": joint.value_prices,
-        "ranges": joint.ranges,
-        "multipliers": joint.multipliers,
-        "multiplier_intervals": joint.multiplier_intervals,
-        "starts": joint.starts,
-        "shortfall": joint.shortfall,
-        "tolerances": {
-            field: {"unit": study.unit(field), "after": limits_data(study, field, getattr(joint.tolerances, field))}
-            | ({"price": -slope(study, found.joint, field)} if field in joint.costs else {})
-            for field in study.fields
-        },
-        "joint": _point(study, found.joint),
-        "two_step": _point(study, found.two_step),
-        "fixed_in_the_first_step": found.fixed,
-        "without_scaling_laws": _point(study, found.unscaled),
-        "front": [_point(study, point) for point in found.front],
-        "scaling_laws": [
-            dict(name=law.name, numbers=followers, follows=law.follows, interval=law.interval, source=law.source)
-            for law, followers in found.laws
-        ],
-        "certificate": joint.certificate,
-    }
