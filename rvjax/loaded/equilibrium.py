@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.compile_cache import ONCE, quick
+from rvjax._jax.compile_cache import ONCE, inside, quick
 from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer
@@ -13,7 +13,7 @@ from rvjax.loaded.balance import compliance, forces
 from rvjax.loaded.case import Case, placed, pressures, solve, turned
 from rvjax.loaded.inputs import Read
 from rvjax.loaded.kinds import admit, check_input, named, prepare
-from rvjax.loaded.newton import Found
+from rvjax.loaded.newton import DIRECT, Found
 from rvjax.loaded.system import Layout
 from rvjax.records import Array, PyTree, Record, Scalar, field, record
 from rvjax.status import SolveInfo, succeeded
@@ -85,7 +85,12 @@ def equilibrium(
             or an array whose shape does not fit the design.
     """
     layout = check_input(design, errors, contact, carrier, sun)
-    return _equilibrium(layout, design, errors, input_angle, output_torque)
+    given = design, errors, input_angle, output_torque
+    if not inside(given):
+        found = _equilibrium(layout._replace(interior=False), *given)
+        if int(found.info.steps) < DIRECT:  # few cases need the other method, which takes long to compile
+            return found
+    return _equilibrium(layout, *given)
 
 
 @quick(0, options=ONCE)

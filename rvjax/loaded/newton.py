@@ -43,7 +43,7 @@ from rvjax.loaded.watchdog import Merit, State, begun, decided, onward, unpacked
 from rvjax.records import PyTree
 
 MAX_STEPS = 300
-_DIRECT = 80  # of them before the interior point method
+DIRECT = 80  # of them before the interior point method
 _WIDE = 1024  # places; a wider block is left by its last cases
 _LAST = 16  # one of so many places is open then
 
@@ -108,6 +108,8 @@ def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
     tour = _Tour(jnp.int32(0), solved, start, nothing)
     if width > _WIDE:
         tour, width = _round(layout, system, tour, width, last=width // _LAST), width // _LAST
+    if not layout.interior:
+        return _round(layout, system, tour, width).found
     return jax.lax.while_loop(goes_on, lambda tour: _round(layout, system, tour, width), tour).found
 
 
@@ -134,12 +136,14 @@ def _round(layout: Layout, system: System, tour: _Tour, width: int, last: int = 
         part = part._replace(pins=part.pins._replace(gap=gap))
         taken = turn < many
         begin = jnp.broadcast_to(begin, (layout.unknowns, width))
-        begin, more = jax.lax.cond(
-            again,
-            lambda: approach(layout, part, taken & empty),
-            lambda: (begin, jnp.zeros((width,), jnp.int32)),
-        )
-        return index, part, _begin(part, begin, taken, steps + more)
+        if layout.interior:
+            begin, more = jax.lax.cond(
+                again,
+                lambda: approach(layout, part, taken & empty),
+                lambda: (begin, jnp.zeros((width,), jnp.int32)),
+            )
+            steps = steps + more
+        return index, part, _begin(part, begin, taken, steps)
 
     def unfinished(block: _Block) -> jax.Array:
         return (jnp.sum(block.state.open) > last) | (block.next < many)
@@ -169,7 +173,7 @@ def _round(layout: Layout, system: System, tour: _Tour, width: int, last: int = 
         index = jnp.where(state.open, queue[block.turn], cases)
         best = jnp.broadcast_to(tour.start, found.q.shape).at[index].set(state.best.T, mode="drop")
         return _Tour(tour.number, jnp.zeros_like(tour.queued).at[index].set(True, mode="drop"), best, found)
-    lost = ~found.converged & found.finite & (found.steps >= _DIRECT)
+    lost = ~found.converged & found.finite & (found.steps >= DIRECT)
     return _Tour(tour.number + 1, lost, tour.start, found)
 
 
@@ -217,7 +221,7 @@ def _shared(layout: Layout, s: System, again: jax.Array) -> _Shared:
 
 def _iterate(layout: Layout, s: System, state: State, leave: jax.Array, again: jax.Array) -> State:
     """Steps of all open cases until no more than `leave` are open; `again`: in the second round."""
-    limit, of = jnp.where(again, MAX_STEPS, _DIRECT), _shared(layout, s, again)
+    limit, of = jnp.where(again, MAX_STEPS, DIRECT), _shared(layout, s, again)
 
     def body(state: State) -> State:
         q, cold = state.q, state.cold

@@ -32,6 +32,7 @@ class Layout(NamedTuple):
     common: tuple[int, ...]  # unknowns of each common body
     joints: tuple[Group, ...]  # one or more
     bearings: tuple[Group, ...]  # one or more
+    interior: bool = True  # cases that Newton leaves go to the interior point method
 
     @property
     def inner(self) -> int:
