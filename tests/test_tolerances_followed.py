@@ -396,7 +396,7 @@ def of_play():
 
 
 def test_a_certificate_settles_where_the_mean_moves_against_a_limit_on_one_side():
-    """Half-widths too wide by a quarter: units that prove the limit say what is left. By shares eight steps do not arrive."""
+    """Half-widths too wide by a quarter: units at the limit say what is left. By shares eight steps do not arrive."""
     search = of_play()
     run = Run(
         search.training.response, search.training.population, ("play",), search.training.requirements, 8192, 0, 4096,

@@ -158,7 +158,8 @@ class Certifier:
         half_widths, training = point.half_widths, search.training
         statistics = self.draw(training.with_half_widths(half_widths), alone=True)
         for step in range(draws - 1):  # the share is enough for a first step; after it only a rest is left
-            factors = (self.exact_factors if step else self.factors)(statistics, training.distance)
+            seen = statistics, training.distance
+            factors = self.exact_factors(*seen) if step else self.factors(*seen)
             factors[np.argmin(factors)] = max(0.5, min(factors.min(), 1 - _LEAST))
             after = search.tightened(point, half_widths, factors)
             if self.holds(statistics) or self.hopeless() or np.array_equal(after, half_widths):
