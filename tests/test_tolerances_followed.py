@@ -396,7 +396,7 @@ def of_play():
 
 
 def test_a_certificate_settles_where_the_mean_moves_against_a_limit_on_one_side():
-    """Half-widths a quarter too wide: units that prove the limit say how much. By shares, eight steps do not arrive."""
+    """Half-widths too wide by a quarter: units at the limit say what is left. By shares eight steps do not arrive."""
     search = of_play()
     run = Run(
         search.training.response, search.training.population, ("play",), search.training.requirements, 8192, 0, 4096,
@@ -404,7 +404,7 @@ def test_a_certificate_settles_where_the_mean_moves_against_a_limit_on_one_side(
     )  # fmt: skip
     certifier = Certifier(run, None, follows=True)
     half_widths, certificate = certifier.settle(search, search.look(np.array([1.55, 1.55, 4.0])))
-    assert certifier.holds(certificate) and certifier.drawn <= 3
+    assert certifier.holds(certificate) and certifier.drawn <= 6
     # Exact law of the sum a + b + held - |c| at these half-widths, by quadrature over |c|.
     sd, depth = np.hypot(np.hypot(*half_widths[:2]), 0.5) / 3, np.linspace(0, 8, 4001) * half_widths[2] / 3
     density = 2 * stats.norm.pdf(depth, scale=half_widths[2] / 3)

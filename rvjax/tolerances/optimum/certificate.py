@@ -157,8 +157,9 @@ class Certifier:
         """Tighten half-widths, where that costs least, until a certificate holds; the last one otherwise."""
         half_widths, training = point.half_widths, search.training
         statistics = self.draw(training.with_half_widths(half_widths), alone=True)
-        for _ in range(draws - 1):
-            factors = self.exact_factors(statistics, training.distance)
+        for step in range(draws - 1):  # the share is enough for a first step; after it only a rest is left
+            seen = statistics, training.distance
+            factors = self.exact_factors(*seen) if step else self.factors(*seen)
             factors[np.argmin(factors)] = max(0.5, min(factors.min(), 1 - _LEAST))
             after = search.tightened(point, half_widths, factors)
             if self.holds(statistics) or self.hopeless() or np.array_equal(after, half_widths):
@@ -174,7 +175,7 @@ class Certifier:
         Tried once, by half of the margin, because the other half may be chance.
         """
         training = search.training
-        factors = np.minimum(self.exact_factors(statistics, training.distance), 1 + _ROOM)
+        factors = np.minimum(self.factors(statistics, training.distance), 1 + _ROOM)
         if not self.holds(statistics) or factors.min() < 1 + WORTH:
             return half_widths, statistics
         wider = search.loosened_to(point, half_widths, np.sqrt(factors))
