@@ -15,6 +15,7 @@ import pytest
 
 from rvjax import (
     CamRollerErrors,
+    Friction,
     LinkDeviations,
     RollerBearing,
     RVErrors,
@@ -26,6 +27,7 @@ from rvjax import (
     lost_motion,
     mesh_force,
     roots,
+    running,
 )
 from rvjax.catalogue import CORR, RV_20E, RV_40E, RV_320E
 from rvjax.loaded.cases import MACHINE
@@ -33,7 +35,7 @@ from rvjax.status import SolveInfo
 from rvjax.units import deg, mm, rpm, um
 
 INNER_TRACES = tuple(map(int, jax.__version__.split(".")[:2])) < (0, 10)  # are reported
-PACKAGES = (four_bar, lost_motion, mesh_force, dynamics, life, geometry, roots)
+PACKAGES = (four_bar, lost_motion, mesh_force, dynamics, life, running, geometry, roots)
 
 
 def residual(x, p):
@@ -49,6 +51,10 @@ def roller(x):
 
 def units(x):
     return RVErrors.for_design(RV_40E, crank_eccentricity=x * um, carrier_bore=-x * um, bearing_clearance=x * um)
+
+
+def rubbing(x):
+    return Friction(ring_pins=0.1 * x, arm_bearings=0.01 * x, output_drag=x)
 
 
 def placed(x):
@@ -173,6 +179,13 @@ CALLS = {  # name: one call of the function for each way that is decided before 
     ],
     "life.rating": [lambda x: life.rating(RATED, units(x), life.Duty([100 * x], [x], [1.0]), samples=2)],
     "life.rated_torque": [lambda x: life.rated_torque(RATED, units(x), life=1e7 * x, output_speed=x, samples=2)],
+    "running.losses": [
+        lambda x: running.losses(RATED, units(x), rubbing(x), output_torque=100 * x, output_speed=x, samples=2)
+    ],
+    "running.back_driving": [lambda x: running.back_driving(RATED, units(x), rubbing(x), samples=2)],
+    "running.hysteresis": [lambda x: running.hysteresis(RATED, units(x), rubbing(x), input_angle=x)],
+    "running.joint": [lambda x: running.joint(RATED, units(x), rubbing(x), rated_torque=100 * x, samples=2)],
+    "running.fit_drag": [lambda x: running.fit_drag(np.array([1.0, 2.0, -1.0, -2.0]), np.full(4, x))],
     "geometry.figures": [lambda x: geometry.figures(MACHINE, 100 * x)],
     "roots.bracketed": [lambda x: roots.bracketed(residual, x, 0.0, 2.0)],
 }
@@ -249,6 +262,10 @@ WRONG = {  # functions that take a design, each called with one of another kind
     "loaded.torsion": lambda d, e: loaded.torsion(d, e, input_angle=0.0, rated_torque=1.0),
     "life.rating": lambda d, e: life.rating(d, e, life.Duty(1.0, 1.0, 1.0)),
     "life.rated_torque": lambda d, e: life.rated_torque(d, e, life=1.0, output_speed=1.0),
+    "running.losses": lambda d, e: running.losses(d, e, output_torque=1.0, output_speed=1.0),
+    "running.back_driving": lambda d, e: running.back_driving(d, e),
+    "running.hysteresis": lambda d, e: running.hysteresis(d, e),
+    "running.joint": lambda d, e: running.joint(d, e, rated_torque=1.0),
     "dynamics.modes": lambda d, e: dynamics.modes(d),
     "dynamics.response": lambda d, e: dynamics.response(d, **SPIN),
     "dynamics.periodic": lambda d, e: dynamics.periodic(d, **SPIN),
