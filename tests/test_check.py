@@ -155,11 +155,10 @@ def test_a_written_study_is_the_known_reducer(base):
             assert given[name][0] == pytest.approx(value, rel=1e-3), name
     stiff = next((line for line in text.splitlines() if line.startswith("cranks.bearing_stiffness")), "")
     assert stiff.endswith("; assumed") == base.startswith("rv")  # nobody printed it
-    wide = {
-        "cycloidal-15": ["cycloid.equidistant_modification", "output.hole_clearance"],  # polymer
-        "cycloidal-29": ["bearings.arm.pitch_diameter"],  # assumed rollers reach the holes
-    }.get(base, [])
+    wide = ["bearings.arm.pitch_diameter"] if base == "cycloidal-29" else []  # assumed rollers reach the holes
     assert [line.removeprefix("design.").split()[0] for line in made.doubts] == wide
+    where = {"cycloidal-15": " of the flanks and ", "cycloidal-17": "80 um of the flanks: above"}.get(base, "")
+    assert all(where in line for line in made.inaccurate()) and len(made.inaccurate()) == bool(where)
     assert ("kind" in tomllib.loads(text)["design"]) == (base != "rv-20e")
 
 
