@@ -129,13 +129,14 @@ def test_numbers_for_which_no_units_are_left_have_no_range():
     assert set(found.ranges) == {"length"} and found.values["shift"] == pytest.approx(0.0, abs=0.05)
 
 
-def test_the_interval_of_a_price_holds_the_difference_of_solved_problems(lever):
-    """Limits 10 % nearer and farther, in proportion to 1/limit: a solved cost is known to 0.5 %, as 2 % change it."""
-    nearer, farther = lever_within(0.9), lever_within(1.1)
+def test_the_interval_of_a_price_holds_that_of_the_closed_form(lever, thorough):
+    """The cost is in proportion to 1/limit. Limits 10 % nearer and farther: a solved cost is known to 0.5 %, as 2 %."""
     least, most = lever.multiplier_intervals["y"]
-    assert least < (farther.cost - nearer.cost) / 0.2 * (1 - 0.1**2) < most
     assert least < -lever.cost < most and least < lever.multipliers["y"] < most
     assert most - least < 0.1 * lever.cost
+    if thorough:
+        nearer, farther = lever_within(0.9), lever_within(1.1)
+        assert least < (farther.cost - nearer.cost) / 0.2 * (1 - 0.1**2) < most
 
 
 @record

@@ -184,7 +184,7 @@ def test_every_result_has_the_line_on_its_clearances(monkeypatch):
     assert len(lines) == 1 and lines[0].startswith("Inaccurate: clearance up to 68 um of the flanks")
 
 
-TABLE = {  # 8.8 N m, hertz, no errors: backlash, stiffness, pins, holes, their pressures, eccentric bearing, fit
+TABLE = {  # 8.8 N m, hertz, no errors: backlash, stiffness, pins, holes, their pressures, eccentric bearing
     "backlash": (23.916, arcmin),
     "torsional_stiffness": (6.4845, 1 / arcmin),
     "pin_force": (163.66, 1),
@@ -192,7 +192,6 @@ TABLE = {  # 8.8 N m, hertz, no errors: backlash, stiffness, pins, holes, their 
     "turn_pin_pressure": (490.6, MPa),
     "hole_pressure": (249.6, MPa),
     "arm_bearing_force": (223.0, 1),
-    "fit_clearance": (35, um),
 }
 
 

@@ -47,6 +47,7 @@ class Decisions:
                 item, origin = self.middles[name], self._origin(name)
                 self.high[k] = ((item.upper - origin) if way > 0 else (origin - item.lower)) / (item.upper - item.lower)
         self.reach = np.concatenate([np.ones(len(self.fields)), np.full(count, _REACH)])
+        self._latest = b"", population
 
     @property
     def size(self) -> int:
@@ -116,7 +117,12 @@ class Decisions:
         return found
 
     def population(self, x: np.ndarray) -> Population:
-        """Units with these half-widths, mid-points and numbers."""
+        """Units with these half-widths, mid-points and numbers; made once for one vector after the other."""
+        if self._latest[0] != x.tobytes():
+            self._latest = x.tobytes(), self._population(x)
+        return self._latest[1]
+
+    def _population(self, x: np.ndarray) -> Population:
         moved = {n: _moved(self.base.active[n], m - self.given[n]) for n, m in self.middles_at(x).items()}
         widths = dict(zip(self.fields, map(float, self.half_widths(x))))
         active = self.base.active | moved
