@@ -3,7 +3,6 @@
 import functools
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import running_cases as cases
@@ -50,7 +49,8 @@ def losses(errors=ERRORS, friction=FRICTION, design=DESIGN, **changes):
 def test_cases_agree_with_the_independent_evaluation(name):
     case = cases.NAMED[name]
     rtol = 1e-6 if case["kind"] in ("joint", "hysteresis") else 1e-7
-    cases.assert_agrees(cases.solved(case), case["expect"], rtol)
+    found = cases.driven_back(case) if case["kind"] == "back_driving" and name in COMMON else cases.solved(case)
+    cases.assert_agrees(found, case["expect"], rtol)
 
 
 def values(found):
@@ -131,8 +131,7 @@ def test_no_friction_is_no_loss():
     found = losses(friction=zero.replace(static_factor=1.0))
     assert float(found.efficiency) == float(found.backward_efficiency) == 1 and int(found.self_locking) == 0
     assert float(found.loss_torque) == float(found.starting_torque) == 0
-    due = cases.NAMED["rv40: back, all errors"]
-    back = cases.solved(due | dict(friction=vars(plain(zero))))
+    back = cases.driven_back(cases.NAMED["rv40: back, all errors"] | dict(friction=vars(plain(zero))))
     assert float(back.torque) == 0 and int(back.info.status) == Status.CONVERGED
 
 
@@ -140,34 +139,39 @@ def test_the_back_driving_torque_divides_what_locks_from_what_turns():
     """Losses at a little less and a little more of it; a unit of great friction has none."""
     for name in ("rv40: back, no errors", "rv40: back, all errors"):
         case = cases.NAMED[name]
-        torque, (_, errors) = float(cases.solved(case).torque), cases.unit_of(case)
+        torque, (_, errors) = float(cases.driven_back(case).torque), cases.unit_of(case)
         for factor, locks in ((1 - 1e-6, 1), (1 + 1e-6, 0)):
             found = losses(errors, cases.friction_of(case), output_torque=factor * torque)
             assert int(found.self_locking) == locks, (name, factor)
-    locked = cases.solved(case | dict(friction=case["friction"] | dict(ring_pins=1.0)))
+    locked = cases.driven_back(case | dict(friction=case["friction"] | dict(ring_pins=1.0)))
     assert float(locked.torque) == np.inf and int(locked.info.status) == Status.CONVERGED
+
+
+STEP = 1e-5
 
 
 @functools.cache
 def batch():
-    """Nine lanes of one program: the unit, what spoils it one by one, and the unit again."""
+    """Lanes of one program and their slopes: the unit, what spoils it one by one, the unit again, and moved twice."""
     nan = np.nan
     lanes = [
         {}, {"ring_pins": -0.1}, {"static_factor": 0.0}, {"gear_meshes": 1.0}, {"drag_friction": -1.5},
-        {"output_drag": nan}, {"pitch": 0.0}, {"ring_pin_friction": nan}, {},
+        {"output_drag": nan}, {"pitch": 0.0}, {"ring_pin_friction": nan}, {}, {}, {},
     ]  # fmt: skip
     made = []
     for change in lanes:
         friction = unchecked(FRICTION, **{k: v for k, v in change.items() if k in vars(FRICTION)})
         errors = unchecked(ERRORS, **{k: v for k, v in change.items() if k.endswith("_friction")})
         arm = unchecked(DESIGN.bearings.arm, **({"pitch_diameter": 0.0} if "pitch" in change else {}))
-        made.append((DESIGN.replace(bearings=unchecked(DESIGN.bearings, arm=arm)), errors, friction))
+        design = DESIGN.replace(bearings=unchecked(DESIGN.bearings, arm=arm))
+        made.append((design, errors, friction, cases.numbers(OPTIONS)))
     stacked = jax.tree.map(lambda *x: np.stack(x), *plain(made))
-    return jax.jit(jax.vmap(lambda d, e, f: running.losses(d, e, f, **plain_options(OPTIONS))))(*stacked)
+    amounts = np.array([0.0] * 9 + [STEP, -STEP])
+    return jax.jit(jax.vmap(functools.partial(cases.along, "losses", OPTIONS["samples"])))(amounts, *stacked)
 
 
 def test_a_bad_number_is_a_status_and_leaves_its_neighbours():
-    found = batch()
+    found = jax.tree.map(lambda lanes: lanes[:9], batch()[0])
     bad, wrong = int(Status.NONFINITE), int(Status.INVALID_GEOMETRY)
     assert found.info.status.tolist() == [0, wrong, wrong, wrong, wrong, bad, wrong, bad, 0]
     one = values(losses())
@@ -281,46 +285,6 @@ def test_a_drive_with_either_output_has_the_same_losses_of_pins_and_arms():
         assert float(getattr(other, name)) == pytest.approx(float(getattr(one, name)), rel=1e-6)
 
 
-def moved(amount, case):
-    """Results of a case with many of its numbers moved by shares of an amount, as an array."""
-    design, errors = cases.unit_of(case)
-    friction, options = cases.friction_of(case), plain_options(case["options"])
-    cycloid, springs, bearings = design.cycloid, design.stiffness, design.bearings
-    design = design.replace(
-        cycloid=unchecked(
-            cycloid,
-            eccentricity=cycloid.eccentricity * (1 + 1e-3 * amount),
-            pin_radius=cycloid.pin_radius * (1 - amount),
-        ),
-        stiffness=springs.replace(turning_arm_bearing=springs.turning_arm_bearing * (1 + 0.7 * amount)),
-        contact=design.contact.replace(young_modulus=design.contact.young_modulus * (1 + 0.4 * amount)),
-        bearings=unchecked(
-            bearings,
-            arm=unchecked(bearings.arm, pitch_diameter=bearings.arm.pitch_diameter * (1 + 0.3 * amount)),
-            support_span=bearings.support_span * (1 + amount),
-        ),
-    )
-    errors = unchecked(
-        errors,
-        pin_radius=errors.pin_radius + 1e-6 * amount,
-        disc_bore=errors.disc_bore * (1 - amount),
-        ring_pin_friction=errors.ring_pin_friction + 0.2 * amount,
-        drag_friction=errors.drag_friction - amount,
-    )
-    friction = unchecked(
-        friction,
-        gear_meshes=friction.gear_meshes * (1 + 2 * amount),
-        output_drag=friction.output_drag * (1 + amount),
-        static_factor=friction.static_factor * (1 + 0.5 * amount),
-        support_bearings=friction.support_bearings * (1 - 2 * amount),
-    )
-    shares = dict(output_torque=0.3, output_speed=-1.0, rated_torque=0.3, input_angle=1e-3)
-    options |= {name: options[name] * (1 + share * amount) for name, share in shares.items() if name in options}
-    found = cases.FUNCTIONS[case["kind"]](design, errors, friction, **options)
-    kept = {name: x for name, x in vars(found).items() if name not in ("info", "self_locking") and x is not None}
-    return jnp.stack([jnp.asarray(x) for x in kept.values()])
-
-
 @pytest.mark.parametrize(
     "name",
     [
@@ -332,12 +296,18 @@ def moved(amount, case):
 )
 def test_derivatives_are_those_of_the_plain_values(name, thorough):
     """Along one direction that moves design, errors, friction and conditions; the long profile, in reverse too."""
-    case, step = cases.NAMED[name], 1e-5
-    value = functools.partial(moved, case=case)
-    due = (np.asarray(value(step)) - np.asarray(value(-step))) / (2 * step)
-    scale = np.abs(np.asarray(value(0.0))) + np.abs(due)
-    slopes = [jax.jit(lambda x: jax.jvp(value, (x,), (1.0,))[1])(0.0)]
-    slopes += [jax.jit(jax.jacrev(value))(0.0)] if thorough else []
+    if name == BASIC:
+        found, slopes = batch()
+        lanes = jax.vmap(cases.floating)(found)
+        (value, *ends), slopes = (lanes[k] for k in (0, 9, 10)), [slopes[0]]
+    else:
+        (value, slope), *ends = (cases.ALONG(*cases.arguments(cases.NAMED[name], x)) for x in (0.0, STEP, -STEP))
+        value, slopes, ends = cases.floating(value), [slope], [cases.floating(found) for found, _ in ends]
+    due = (np.asarray(ends[0]) - np.asarray(ends[1])) / (2 * STEP)
+    scale = np.abs(np.asarray(value)) + np.abs(due)
+    if thorough:
+        kind, samples, amount, *unit = cases.arguments(cases.NAMED[name], 0.0)
+        slopes += [jax.jit(jax.jacrev(lambda x: cases.floating(cases.shifted(kind, samples, x, *unit))))(amount)]
     for slope in slopes:
         assert np.all(np.abs(np.asarray(slope) - due) <= 1e-6 * scale)
 
