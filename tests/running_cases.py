@@ -146,8 +146,3 @@ def arguments(case, amount):
     options = case["options"]
     unit = (*unit_of(case), friction_of(case), numbers(options))
     return case["kind"], options.get("samples"), np.float64(amount), *unit
-
-
-def driven_back(case):
-    """Back-driving torque by the program that has its slope too."""
-    return ALONG(*arguments(case, 0.0))[0]
