@@ -22,6 +22,7 @@ CASE = cases.NAMED[BASIC]
 DESIGN, ERRORS = cases.unit_of(CASE)
 FRICTION, OPTIONS = cases.friction_of(CASE), CASE["options"]
 TIGHT = cases.NAMED["rv40: tight pins, no torque"]
+STEP = 1e-5  # of differences
 COMMON = (
     *("rv40: no errors, forward", "rv40: no errors, the output drives", BASIC, "rv40: no torque, no errors"),
     *(
@@ -199,9 +200,6 @@ def test_the_search_for_a_back_driving_torque_with_friction_of_a_closed_form():
     due = brentq(lambda x: x - bent(x, numbers), 0, 1000, xtol=1e-12)
     x, status, _, evaluations = root(bent, numbers)
     assert (x, status) == (pytest.approx(due, rel=1e-9), 0) and evaluations <= 10
-
-
-STEP = 1e-5
 
 
 @functools.cache
