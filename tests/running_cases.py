@@ -5,11 +5,13 @@ from pathlib import Path
 
 import cycloidal_cases
 import jax
+import jax.numpy as jnp
 import loaded_cases
 import numpy as np
 
 import rvjax
 from rvjax import Bearings, CycloidalErrors, Friction, Inertia, RollerBearing, running
+from rvjax.loaded import unchecked
 
 CASES = json.loads((Path(__file__).parent / "reference" / "running.json").read_text())["cases"]
 NAMED = {case["name"]: case for case in CASES}
@@ -69,3 +71,78 @@ def assert_agrees(found, expect, rtol):
         else:
             size = max(abs(expect.get("loss_torque", 0.0)), abs(value)) if np.isfinite(value) else 0.0
             np.testing.assert_allclose(getattr(found, name), value, rtol=rtol, atol=1e-9 * size, err_msg=name)
+
+
+def moved(amount, design, errors, friction, options):
+    """Unit and options with many of their numbers moved by shares of an amount."""
+    cycloid, springs, bearings = design.cycloid, design.stiffness, design.bearings
+    design = design.replace(
+        cycloid=unchecked(
+            cycloid,
+            eccentricity=cycloid.eccentricity * (1 + 1e-3 * amount),
+            pin_radius=cycloid.pin_radius * (1 - amount),
+        ),
+        stiffness=springs.replace(turning_arm_bearing=springs.turning_arm_bearing * (1 + 0.7 * amount)),
+        contact=design.contact.replace(young_modulus=design.contact.young_modulus * (1 + 0.4 * amount)),
+        bearings=unchecked(
+            bearings,
+            arm=unchecked(bearings.arm, pitch_diameter=bearings.arm.pitch_diameter * (1 + 0.3 * amount)),
+            support_span=bearings.support_span * (1 + amount),
+        ),
+    )
+    errors = unchecked(
+        errors,
+        pin_radius=errors.pin_radius + 1e-6 * amount,
+        disc_bore=errors.disc_bore * (1 - amount),
+        ring_pin_friction=errors.ring_pin_friction + 0.2 * amount,
+        drag_friction=errors.drag_friction - amount,
+    )
+    friction = unchecked(
+        friction,
+        gear_meshes=friction.gear_meshes * (1 + 2 * amount),
+        output_drag=friction.output_drag * (1 + amount),
+        static_factor=friction.static_factor * (1 + 0.5 * amount),
+        support_bearings=friction.support_bearings * (1 - 2 * amount),
+    )
+    shares = dict(output_torque=0.3, output_speed=-1.0, rated_torque=0.3, input_angle=1e-3)
+    options = options | {
+        name: options[name] * (1 + share * amount) for name, share in shares.items() if name in options
+    }
+    return design, errors, friction, options
+
+
+def floating(found):
+    """Its numbers as one array."""
+    kept = {name: x for name, x in vars(found).items() if name not in ("info", "self_locking") and x is not None}
+    return jnp.stack([jnp.asarray(x) for x in kept.values()])
+
+
+def shifted(kind, samples, amount, *unit):
+    """Results of a function for a moved unit."""
+    *parts, options = moved(amount, *unit)
+    return FUNCTIONS[kind](*parts, **({} if samples is None else dict(samples=samples)), **options)
+
+
+def along(kind, samples, amount, *unit):
+    """The same, and the slopes of its numbers by the amount."""
+
+    def at(amount):
+        found = shifted(kind, samples, amount, *unit)
+        return floating(found), found
+
+    _, slope, found = jax.jvp(at, (amount,), (jnp.ones_like(amount),), has_aux=True)
+    return found, slope
+
+
+ALONG = jax.jit(along, static_argnums=(0, 1))
+
+
+def numbers(options):
+    return loaded_cases.plain({name: float(value) for name, value in options.items() if name != "samples"})
+
+
+def arguments(case, amount):
+    """Of `along`."""
+    options = case["options"]
+    unit = (*unit_of(case), friction_of(case), numbers(options))
+    return case["kind"], options.get("samples"), np.float64(amount), *unit

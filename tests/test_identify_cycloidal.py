@@ -66,11 +66,22 @@ def unit():
 
 
 @pytest.fixture(scope="module")
-def turns(unit):
+def error(unit):
+    """Errors at some input angles under a torque, by one program for any number of them up to that of a turn."""
+    at = jax.jit(jax.vmap(lambda angle, torque: loaded.equilibrium(*unit, input_angle=angle, output_torque=torque)))
+
+    def found(angle, torque):
+        every = at(np.resize(angle, POINTS), np.full(POINTS, torque))
+        assert not np.any(every.info.status)
+        return np.asarray(every.error)[: len(angle)]
+
+    return found
+
+
+@pytest.fixture(scope="module")
+def turns(unit, error):
     """Errors over a turn of the output, forward and backward."""
-    every = [loaded.revolution(*unit, output_torque=torque, turns=1.0, samples=POINTS) for torque in (4.0, -4.0)]
-    assert [int(turn.info.status) for turn in every] == [0, 0]
-    return [np.asarray(turn.error) for turn in every]
+    return [error(unit[0].ratio * 2 * np.pi * np.arange(POINTS) / POINTS, torque) for torque in (4.0, -4.0)]
 
 
 @pytest.fixture(scope="module")
@@ -111,27 +122,20 @@ def test_the_errors_of_a_drive_are_found(here):
     assert abs(shares["order 018"]["ring_centre"]) < 0.05
 
 
-def test_a_table_corrects_the_output(here, unit, turns):
+def test_a_table_corrects_the_output(here, error, turns):
     """Equilibria at the corrected angles of the shaft; the order of the holes, 108, is above three times the pins.
 
     The error arises at the corrected angle: there the waves of the curve, whose shortest ones are not resolved.
     """
     assert cli.main(["compensate", "unit.toml", "unit.csv", "--quiet", "--export", "t.json", "--results", "made"]) == 0
-    design, errors = unit
     angle = 2 * np.pi * np.arange(0, POINTS, 15) / POINTS
-
-    @jax.jit
-    @jax.vmap
-    def error(angle, torque):
-        return loaded.equilibrium(design, errors, input_angle=angle, output_torque=torque).error
-
     curves = json.loads((here / "made" / "result.json").read_text())["curves"]
     for sign, curve, whole in zip((1, -1), curves, turns):
         table = compensation.read(f"t-4_N_m_{curve['direction']}.json")
         assert table.ratio == 18 and {17, 18, 36, 90, 108} <= set(table.orders) == set(curve["order"])
         correction = np.interp(angle, table.angle, table.correction)
         command = 18 * angle + correction
-        after = command / 18 + np.asarray(error(command, np.full(len(angle), 4.0 * sign))) - angle
+        after = command / 18 + error(command, 4.0 * sign) - angle
         waves = 2 * np.fft.rfft(whole)[:-1] / POINTS
         waves[0] /= 2
         there = np.real(np.exp(1j * np.outer(command / 18, np.arange(len(waves)))) @ waves)

@@ -22,6 +22,7 @@ CASE = cases.NAMED[BASIC]
 DESIGN, ERRORS = cases.unit_of(CASE)
 FRICTION, OPTIONS = cases.friction_of(CASE), CASE["options"]
 TIGHT = cases.NAMED["rv40: tight pins, no torque"]
+STEP = 1e-5  # of differences
 COMMON = (
     *("rv40: no errors, forward", "rv40: no errors, the output drives", BASIC, "rv40: no torque, no errors"),
     *(
@@ -203,24 +204,26 @@ def test_the_search_for_a_back_driving_torque_with_friction_of_a_closed_form():
 
 @functools.cache
 def batch():
-    """Nine lanes of one program: the unit, what spoils it one by one, and the unit again."""
+    """Lanes of one program and their slopes: the unit, what spoils it one by one, the unit again, and moved twice."""
     nan = np.nan
     lanes = [
         {}, {"ring_pins": -0.1}, {"static_factor": 0.0}, {"gear_meshes": 1.0}, {"drag_friction": -1.5},
-        {"output_drag": nan}, {"pitch": 0.0}, {"ring_pin_friction": nan}, {},
+        {"output_drag": nan}, {"pitch": 0.0}, {"ring_pin_friction": nan}, {}, {}, {},
     ]  # fmt: skip
     made = []
     for change in lanes:
         friction = unchecked(FRICTION, **{k: v for k, v in change.items() if k in vars(FRICTION)})
         errors = unchecked(ERRORS, **{k: v for k, v in change.items() if k.endswith("_friction")})
         arm = unchecked(DESIGN.bearings.arm, **({"pitch_diameter": 0.0} if "pitch" in change else {}))
-        made.append((DESIGN.replace(bearings=unchecked(DESIGN.bearings, arm=arm)), errors, friction))
+        design = DESIGN.replace(bearings=unchecked(DESIGN.bearings, arm=arm))
+        made.append((design, errors, friction, cases.numbers(OPTIONS)))
     stacked = jax.tree.map(lambda *x: np.stack(x), *plain(made))
-    return jax.jit(jax.vmap(lambda d, e, f: running.losses(d, e, f, **plain_options(OPTIONS))))(*stacked)
+    amounts = np.array([0.0] * 9 + [STEP, -STEP])
+    return jax.jit(jax.vmap(functools.partial(cases.along, "losses", OPTIONS["samples"])))(amounts, *stacked)
 
 
 def test_a_bad_number_is_a_status_and_leaves_its_neighbours():
-    found = batch()
+    found = jax.tree.map(lambda lanes: lanes[:9], batch()[0])
     bad, wrong = int(Status.NONFINITE), int(Status.INVALID_GEOMETRY)
     assert found.info.status.tolist() == [0, wrong, wrong, wrong, wrong, bad, wrong, bad, 0]
     one = values(losses())
@@ -334,46 +337,6 @@ def test_a_drive_with_either_output_has_the_same_losses_of_pins_and_arms():
         assert float(getattr(other, name)) == pytest.approx(float(getattr(one, name)), rel=1e-6)
 
 
-def moved(amount, case):
-    """Results of a case with many of its numbers moved by shares of an amount, as an array."""
-    design, errors = cases.unit_of(case)
-    friction, options = cases.friction_of(case), plain_options(case["options"])
-    cycloid, springs, bearings = design.cycloid, design.stiffness, design.bearings
-    design = design.replace(
-        cycloid=unchecked(
-            cycloid,
-            eccentricity=cycloid.eccentricity * (1 + 1e-3 * amount),
-            pin_radius=cycloid.pin_radius * (1 - amount),
-        ),
-        stiffness=springs.replace(turning_arm_bearing=springs.turning_arm_bearing * (1 + 0.7 * amount)),
-        contact=design.contact.replace(young_modulus=design.contact.young_modulus * (1 + 0.4 * amount)),
-        bearings=unchecked(
-            bearings,
-            arm=unchecked(bearings.arm, pitch_diameter=bearings.arm.pitch_diameter * (1 + 0.3 * amount)),
-            support_span=bearings.support_span * (1 + amount),
-        ),
-    )
-    errors = unchecked(
-        errors,
-        pin_radius=errors.pin_radius + 1e-6 * amount,
-        disc_bore=errors.disc_bore * (1 - amount),
-        ring_pin_friction=errors.ring_pin_friction + 0.2 * amount,
-        drag_friction=errors.drag_friction - amount,
-    )
-    friction = unchecked(
-        friction,
-        gear_meshes=friction.gear_meshes * (1 + 2 * amount),
-        output_drag=friction.output_drag * (1 + amount),
-        static_factor=friction.static_factor * (1 + 0.5 * amount),
-        support_bearings=friction.support_bearings * (1 - 2 * amount),
-    )
-    shares = dict(output_torque=0.3, output_speed=-1.0, rated_torque=0.3, input_angle=1e-3)
-    options |= {name: options[name] * (1 + share * amount) for name, share in shares.items() if name in options}
-    found = cases.FUNCTIONS[case["kind"]](design, errors, friction, **options)
-    kept = {name: x for name, x in vars(found).items() if name not in ("info", "self_locking") and x is not None}
-    return jnp.stack([jnp.asarray(x) for x in kept.values()])
-
-
 @pytest.mark.parametrize(
     "name",
     [
@@ -385,12 +348,18 @@ def moved(amount, case):
 )
 def test_derivatives_are_those_of_the_plain_values(name, thorough):
     """Along one direction that moves design, errors, friction and conditions; the long profile, in reverse too."""
-    case, step = cases.NAMED[name], 1e-5
-    value = functools.partial(moved, case=case)
-    due = (np.asarray(value(step)) - np.asarray(value(-step))) / (2 * step)
-    scale = np.abs(np.asarray(value(0.0))) + np.abs(due)
-    slopes = [jax.jit(lambda x: jax.jvp(value, (x,), (1.0,))[1])(0.0)]
-    slopes += [jax.jit(jax.jacrev(value))(0.0)] if thorough else []
+    if name == BASIC:
+        found, slopes = batch()
+        lanes = jax.vmap(cases.floating)(found)
+        (value, *ends), slopes = (lanes[k] for k in (0, 9, 10)), [slopes[0]]
+    else:
+        (value, slope), *ends = (cases.ALONG(*cases.arguments(cases.NAMED[name], x)) for x in (0.0, STEP, -STEP))
+        value, slopes, ends = cases.floating(value), [slope], [cases.floating(found) for found, _ in ends]
+    due = (np.asarray(ends[0]) - np.asarray(ends[1])) / (2 * STEP)
+    scale = np.abs(np.asarray(value)) + np.abs(due)
+    if thorough:
+        kind, samples, amount, *unit = cases.arguments(cases.NAMED[name], 0.0)
+        slopes += [jax.jit(jax.jacrev(lambda x: cases.floating(cases.shifted(kind, samples, x, *unit))))(amount)]
     for slope in slopes:
         assert np.all(np.abs(np.asarray(slope) - due) <= 1e-6 * scale)
 

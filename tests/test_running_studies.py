@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import running_cases as cases
 
 from rvjax import Friction, RVErrors, models, running, study
 from rvjax.catalogue import CYCLOIDAL_17, RV_40E
@@ -44,12 +45,13 @@ def text(name, design=SET, conditions=LOAD + SPEED, limit='upper = "1 N m"'):
 
 
 def test_outputs_are_the_losses_of_the_unit():
-    """The output turns backwards, so a positive torque drives the input."""
-    given = models.kind(DRIVE).conditions(output_torque=8.8, output_speed=-2.0, running_samples=6)
+    """The output turns backwards, so a positive torque drives the input; the losses are by the reference's program."""
+    case = cases.NAMED["cycloidal: all errors, the output drives"]
+    (design, errors), friction = cases.unit_of(case), cases.friction_of(case)
+    given = models.kind(design).conditions(output_torque=8.8, output_speed=-2.0, running_samples=6)
     names = ("efficiency", "backward_efficiency", "starting_torque", "no_load_torque", "power_loss")
-    errors = DRIVE.error_record(pin_radii=3e-6 * np.cos(np.arange(18.0) ** 2), ring_pin_friction=0.3)
-    found = jax.jit(Response.of(DRIVE, names, given))(errors)
-    due = running.losses(DRIVE, errors, output_torque=8.8, output_speed=-2.0, samples=6)
+    found = jax.jit(Response.of(design.replace(friction=friction), names, given))(errors)
+    due = cases.solved(case, output_torque=8.8, output_speed=-2.0)
     for name in names:
         np.testing.assert_allclose(found.value[name], getattr(due, name), rtol=1e-9, err_msg=name)
     assert abs(due.power_loss / (2.0 * 8.8 * (1 / due.efficiency - 1)) - 1) > 1e-4  # the sets differ
