@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rvjax import life, loaded
+from rvjax._jax.compile_cache import QUICK
 from rvjax.population import Population, drawn, root_key
 from rvjax.records import Design, PyTree, Record, field, record, text
 from rvjax.response import per_response
@@ -101,7 +102,7 @@ class _Turned(Record):
         return life.force_orders(design, errors, output_torque=torque, **dict(self.ways)).amplitude
 
 
-@per_response()
+@per_response(options=QUICK)
 def _of_units(unit: Callable[[PyTree, PyTree], PyTree], population: Population, z: jax.Array, load: PyTree) -> PyTree:
     """Lives or orders of the units with random numbers z (numbers, units)."""
     return jax.vmap(lambda z: unit(population.errors(z), load), in_axes=-1)(z)
