@@ -51,9 +51,10 @@ def mesh_forces():
     library = c_library(source(rollers))
     if library is not None:
         rows, results = mesh_force.c_arrays(columns)
-        pointers = [ctypes.c_void_p(array.ctypes.data) for array in (design, *rows, *results)]
+        arrays = (design, *rows, *results)
 
         def c_cases():
+            pointers = [ctypes.c_void_p(array.ctypes.data) for array in arrays]
             library.solve(ctypes.c_long(mesh_force.CASES), *pointers, None)
             return results[3]
 
