@@ -50,11 +50,13 @@ def mesh_forces():
     found = {"rvjax": lambda: run().windup, "numba": numba}
     library = c_library(source(rollers))
     if library is not None:
-        pointers = [ctypes.c_void_p(array.ctypes.data) for array in (design, *columns, *outputs)]
+        rows, results = mesh_force.c_arrays(columns)
+        arrays = (design, *rows, *results)
 
         def c_cases():
+            pointers = [ctypes.c_void_p(array.ctypes.data) for array in arrays]
             library.solve(ctypes.c_long(mesh_force.CASES), *pointers, None)
-            return outputs[3]
+            return results[3]
 
         found["C"] = c_cases
     return found, mesh_force.CASES

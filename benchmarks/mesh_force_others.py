@@ -1,8 +1,9 @@
 """The mesh-force model in C, Numba, NumPy and SciPy, each written as well as its language allows.
 
 C, Numba and NumPy: geometry once, linear contacts by Newton on the set of loaded rollers, then Newton on all
-loads and the windup together with the exact contact law, from the power series of the local inverse. SciPy solves one
-case: brentq for the windup around brentq for every roller.
+loads and the windup together with the exact contact law, from the power series of the local inverse. C takes 32 cases
+side by side, and reads and writes a row of cases for each roller. SciPy solves one case: brentq for the windup around
+brentq for every roller.
 """
 
 import math
@@ -14,92 +15,122 @@ from scipy.optimize import brentq
 SOURCE = r"""
 #include <math.h>
 #define N %(count)d
-#define P ((N + 7) / 8 * 8)  /* whole vectors; the rows beyond N are never loaded */
-static const double CO[P] = {%(cosines)s}, SI[P] = {%(sines)s};
+#define W 32  /* cases side by side */
+#define EACH _Pragma("omp simd") for (int k = 0; k < W; k++)
+static const double CO[N] = {%(cosines)s}, SI[N] = {%(sines)s};
+
+/* (1 - sqrt(1 - x)) / x: by its root, or by seven terms, good to rounding below 0.01 */
+static inline double rise(double x, int near)
+{
+    if (!near) return 1 / (1 + sqrt(1 - x));
+    return 0.5 + x * (1 / 8. + x * (1 / 16. + x * (5 / 128. + x * (7 / 256. + x * (21 / 1024. + x * 33 / 2048)))));
+}
+/* Newton step of all loads: F + S tau, by the exact contact law about three terms of its inverse */
+#define STEP(near) for (int i = 0; i < N; i++) EACH { \
+    const double y = K[i][k] * fmax(tau[k] * a[i][k] + g[i][k], 0), b = fabs(rs[i][k]), n = rn[i][k], h = m[i][k]; \
+    const double x = y * (1 - y * (A[i][k] - y * B[i][k])), v = n * x, w = b * x, k2 = (1 - h) * (1 - h) * im[i][k]; \
+    const double D = x * (mc * rise(mc * x, near) + nc * rise(kc * x, near)) + b * w * rise(w, near) \
+        + n * v * (h * rise(h * v, near) + (1 - h) * rise(k2 * v, near)); \
+    const double slope = y > 0 ? K[i][k] * (1 - y * (2 * A[i][k] - 3 * y * B[i][k])) : 0; \
+    F[i][k] = x + slope * (g[i][k] - D); \
+    S[i][k] = slope * a[i][k]; \
+    M[k] += a[i][k] * F[i][k]; \
+    J[k] += a[i][k] * S[i][k]; \
+}
 
 void solve(long cases, const double *restrict design, const double *restrict dcam, const double *restrict decc,
            const double *restrict dradius, const double *restrict torque, const double *restrict angle,
            double *restrict cam, double *restrict cage, double *restrict gear, double *restrict windup,
            double *restrict peak)
-{   /* `peak`: the largest gear force of each case instead of all results; else NULL */
+{   /* cases: a multiple of W; a row of cases for each roller, also in the results.
+       `peak`: the largest gear force of each case instead of all results; else NULL */
     const double R = design[0], r = design[1], l = design[2], e = design[3], E = design[4], nu = design[5];
-    const double share = design[6], L = R + r, z = N - 1, ratio = e / L, mc = R / L, nc = 1 - mc;
+    const double share = design[6], L = R + r, z = N - 1, ratio = e / L, mc = R / L, nc = 1 - mc, kc = nc * nc / mc;
     const double unit = M_PI * l * r * E / (8 * (1 - nu * nu));
-    const double c2 = (mc * mc + nc * nc * nc / mc) / 8, c3 = (mc * mc * mc + nc * nc * nc * nc * nc / mc / mc) / 16;
+    const double c2 = (mc * mc + nc * kc) / 8, c3 = (mc * mc * mc + nc * kc * kc) / 16;
 #pragma omp parallel for schedule(static)
-    for (long k = 0; k < cases; k++) {
-        double a[P] = {0}, g[P], K[P], rs[P], rn[P], m[P], u[P], S[P], F[P], own[P] = {0};
-        const double s0 = sin(z * angle[k]), c0 = cos(z * angle[k]), T = share * torque[k] / (unit * e);
-        const double dc = dcam[k] / r, de = decc[k] / r;
-        double M = 0, J = 0;
-        for (int i = 0; i < N; i++) own[i] = dradius[k * N + i] / r;
-        for (int i = 0; i < P; i++) {
-            const double sp = s0 * CO[i] - c0 * SI[i], cp = c0 * CO[i] + s0 * SI[i];
-            const double sg = ratio * sp, cg = sqrt(1 - sg * sg), q = cg * cg + z * z * sg * sg;
-            const double s = e * cp + L * cg;
-            rn[i] = sqrt(q);
-            rs[i] = N * sg;
-            m[i] = 1 + r * (cg * q + z * z * ratio * cp) / (s * q * rn[i]);
-            a[i] = i < N ? sp * cg + cp * sg : 0;
-            g[i] = i < N ? dc + de * (cp * cg - sp * sg) + own[i] * (1 + fabs(rs[i]) + rn[i]) : -1;
-            K[i] = 1 / (1 + z * N * sg * sg);
-            const double w = a[i] * T > 0 ? a[i] * K[i] : 0;
-            M += w * g[i];
-            J += w * a[i];
+    for (long b = 0; b < cases; b += W) {
+        double a[N][W], g[N][W], K[N][W], A[N][W], B[N][W], rs[N][W], rn[N][W], m[N][W], im[N][W], wide[N][W];
+        double F[N][W], S[N][W], s0[W], c0[W], T[W], M[W], J[W], tau[W], most = 0;
+        EACH s0[k] = sin(z * angle[b + k]);
+        EACH c0[k] = cos(z * angle[b + k]);
+        EACH { T[k] = share * torque[b + k] / (unit * e); M[k] = J[k] = 0; }
+        for (int i = 0; i < N; i++) {
+            const double *own = dradius + i * cases + b;
+            EACH {
+                const double sp = s0[k] * CO[i] - c0[k] * SI[i], cp = c0[k] * CO[i] + s0[k] * SI[i];
+                const double sg = ratio * sp, cg = sqrt(1 - sg * sg), q = cg * cg + z * z * sg * sg, n = sqrt(q);
+                const double Q = (e * cp + L * cg) * q * n, O = Q + r * (cg * q + z * z * ratio * cp);
+                const double H = 1 + z * N * sg * sg, inverse = 1 / (Q * O * H);   /* the only division */
+                const double h = O * O * H * inverse, ih = Q * Q * H * inverse, k2 = (1 - h) * (1 - h) * ih;
+                const double d = fabs(N * sg), d3 = d * d * d, n3 = n * n * n, stiff = Q * O * inverse;
+                const double bend = stiff * (c2 + (d3 + n3 * (h * h + (1 - h) * k2)) * 0.125);
+                const double third = c3 + (d3 * d + n3 * n * (h * h * h + (1 - h) * k2 * k2)) * 0.0625;
+                rn[i][k] = n;
+                rs[i][k] = N * sg;
+                m[i][k] = h;
+                im[i][k] = ih;
+                a[i][k] = sp * cg + cp * sg;
+                g[i][k] = (dcam[b + k] + decc[b + k] * (cp * cg - sp * sg) + own[k] * (1 + d + n)) / r;
+                K[i][k] = stiff;
+                A[i][k] = bend;
+                B[i][k] = 2 * bend * bend - stiff * third;
+                wide[i][k] = fmax(fmax(1, kc), fmax(d, n * fmax(h, k2)));   /* of a square half-width over x */
+                const double w = a[i][k] * T[k] > 0 ? a[i][k] * stiff : 0;
+                M[k] += w * g[i][k];
+                J[k] += w * a[i][k];
+            }
         }
-        double tau = (T - M) / J;
+        EACH tau[k] = (T[k] - M[k]) / J[k];
         for (int step = 0; step < 50; step++) {   /* linear contacts: exact once the loaded set stays */
-            M = -T, J = 0;
-            for (int i = 0; i < P; i++) {
-                const double y = tau * a[i] + g[i], w = y > 0 ? a[i] * K[i] : 0;
-                M += w * y;
-                J += w * a[i];
+            double worst = 0;
+            EACH { M[k] = -T[k]; J[k] = 0; }
+            for (int i = 0; i < N; i++) EACH {
+                const double y = tau[k] * a[i][k] + g[i][k], w = y > 0 ? a[i][k] * K[i][k] : 0;
+                M[k] += w * y;
+                J[k] += w * a[i][k];
             }
-            tau -= M / J;
-            if (fabs(M) <= 1e-6 * fabs(tau * J)) break;
+            for (int k = 0; k < W; k++) {
+                const double change = M[k] / J[k];
+                worst = fmax(worst, fabs(change / tau[k]));
+                tau[k] -= change;
+            }
+            if (worst <= 1e-4) break;
         }
+        EACH { M[k] = -T[k]; J[k] = 0; }
+        for (int i = 0; i < N; i++)   /* one step with three terms of the inverse contact law */
+            _Pragma("omp simd reduction(max:most)") for (int k = 0; k < W; k++) {
+                const double y = K[i][k] * fmax(tau[k] * a[i][k] + g[i][k], 0);
+                const double x = y * (1 - y * (A[i][k] - y * B[i][k]));
+                const double slope = y > 0 ? K[i][k] * (1 - y * (2 * A[i][k] - 3 * y * B[i][k])) : 0;
+                M[k] += a[i][k] * x;
+                J[k] += a[i][k] * a[i][k] * slope;
+                most = fmax(most, x * wide[i][k]);
+            }
+        EACH tau[k] -= M[k] / J[k];
         for (int step = 0; step < 10; step++) {   /* all loads and the windup together, exact contact law */
-            M = -T, J = 0;
-            for (int i = 0; i < P; i++) {
-                const double y = K[i] * fmax(tau * a[i] + g[i], 0), b = fabs(rs[i]), n1 = 1 - m[i], k2 = n1 * n1 / m[i];
-                const double b3 = b * b * b, n3 = rn[i] * rn[i] * rn[i];
-                const double a2 = K[i] * (c2 + b3 * 0.125 + n3 * (m[i] * m[i] + n1 * k2) * 0.125);
-                const double m3 = m[i] * m[i] * m[i] + n1 * k2 * k2;
-                const double a3 = K[i] * (c3 + b3 * b * 0.0625 + n3 * rn[i] * m3 * 0.0625);
-                const double x = y * (1 - y * (a2 - y * (2 * a2 * a2 - a3)));
-                const double slope = K[i] * (1 - y * (2 * a2 - 3 * y * (2 * a2 * a2 - a3)));
-                const double v = rn[i] * x, w = b * x;
-                const double D = mc * x / (1 + sqrt(1 - mc * x)) + nc * x / (1 + sqrt(1 - nc * nc / mc * x))
-                    + b * w / (1 + sqrt(1 - w))
-                    + rn[i] * (m[i] * v / (1 + sqrt(1 - m[i] * v)) + n1 * v / (1 + sqrt(1 - k2 * v)));
-                S[i] = y > 0 ? slope : 0;
-                F[i] = x - S[i] * D;
-                u[i] = x;
-                M += a[i] * (F[i] + S[i] * g[i]);
-                J += a[i] * a[i] * S[i];
+            double worst = 0;
+            EACH { M[k] = -T[k]; J[k] = 0; }
+            if (most < 0.009) STEP(1) else STEP(0)
+            for (int k = 0; k < W; k++) {
+                const double next = -M[k] / J[k];
+                worst = fmax(worst, fabs((next - tau[k]) / next));
+                tau[k] = next;
             }
-            const double next = -M / J;
-            double change = 0, size = 0;
-            for (int i = 0; i < P; i++) {
-                const double v = fmax(F[i] + S[i] * (next * a[i] + g[i]), 0);
-                change = fmax(change, fabs(v - u[i]));
-                size = fmax(size, v);
-                u[i] = v;
-            }
-            tau = next;
-            if (change <= 1e-6 * size) break;
+            if (worst <= 1e-6) break;
         }
         if (peak) {
-            double most = 0;
-            for (int i = 0; i < P; i++) most = fmax(most, u[i] * rn[i]);
-            peak[k] = unit * most;
+            EACH T[k] = 0;
+            for (int i = 0; i < N; i++) EACH T[k] = fmax(T[k], (F[i][k] + S[i][k] * tau[k]) * rn[i][k]);
+            EACH peak[b + k] = unit * T[k];
             continue;
         }
-        windup[k] = tau * r / e;
-        for (int i = 0; i < N; i++) {
-            cam[k * N + i] = unit * u[i];
-            cage[k * N + i] = unit * u[i] * rs[i];
-            gear[k * N + i] = unit * u[i] * rn[i];
+        EACH windup[b + k] = tau[k] * r / e;
+        for (int i = 0; i < N; i++) EACH {
+            const double u = unit * fmax(F[i][k] + S[i][k] * tau[k], 0);
+            cam[i * cases + b + k] = u;
+            cage[i * cases + b + k] = u * rs[i][k];
+            gear[i * cases + b + k] = u * rn[i][k];
         }
     }
 }
@@ -108,7 +139,7 @@ void solve(long cases, const double *restrict design, const double *restrict dca
 
 def source(count: int) -> str:
     """C source for `count` rollers."""
-    angles = 2 * np.pi * np.arange(-(-count // 8) * 8) / count
+    angles = 2 * np.pi * np.arange(count) / count
     return SOURCE % {
         "count": count,
         "cosines": ", ".join(f"{v:.17g}" for v in np.cos(angles)),

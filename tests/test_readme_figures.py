@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import history
+from benchmarks.pages import written
 
 ROOT = Path(__file__).parent.parent
 MARK = re.compile(
@@ -48,6 +49,10 @@ def test_the_comparison_finds_what_is_wrong():
     assert differences(good, results)[1] == [] and len(differences(good, results)[0]) == 3
     for old, new in (("44 x", "45 x"), ("1.9", "1.8"), ("6,200", "6,300"), ("n / m", "n / k"), ("a: s", "b: s")):
         assert len(differences(good.replace(old, new), results)[1]) == 1, new
+    later = {"a": {"figures": {"n / m": 7.26, "s": 0.0123, "big": 12_340.0}}}
+    assert len(differences(good, later)[1]) == 3 and written(good, results) == good
+    assert written(good, later) == good.replace("44", "7.3").replace("1.9", "12").replace("6,200", "12,000")
+    assert differences(written(good, later), later)[1] == []
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/speed.md", "benchmarks/NOTES.md"])
