@@ -201,7 +201,9 @@ def test_a_signal_ends_a_batch_in_order(tmp_path, number, code):
         "import sys, time; from rvjax import cli; from rvjax.commands.montecarlo import batch\n"
         "def run(wanted):\n    print('begun', flush=True)\n    time.sleep(60)\n"
         "batch.run = run\n"
-        "batch.study_of = lambda *_: type('Question', (), {'doubts': [], 'accuracy': {}})()\n"
+        "study = {'doubts': [], 'accuracy': {}, 'certificate_samples': 1}\n"
+        "batch.study_of = lambda *_: type('Question', (), study)()\n"
+        "sys.modules['rvjax.commands.montecarlo.compute'].unit_seconds = lambda study: None\n"
         "sys.exit(cli.main(['montecarlo', 's.toml', '--checkpoint', 'c']))"
     )
     started = subprocess.Popen(

@@ -152,7 +152,7 @@ def test_a_kind_of_reducer_is_one_place(fake_model, monkeypatch, tmp_path, capsy
     with pytest.raises(ValueError, match=r"variable\.stiffness: follows from the radius"):
         refuse_variable(made.design, "stiffness", ())
     assert cli.main(["check", "corr", "--picture", "corr.png"]) == 2
-    assert "plots RV reducers and key joints only, not a CamRollerReducer" in capsys.readouterr().err
+    assert "and key joints only, not a CamRollerReducer" in capsys.readouterr().err
 
 
 def test_a_kind_that_is_not_described_is_one_of_which_nothing_is_known(fake_model):
