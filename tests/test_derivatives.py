@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from loaded_cases import NAMED, design_of
 
-from rvjax import CrankStage, Damping, models
+from rvjax import CrankStage, Damping, Friction, models
 from rvjax.catalogue import CORR, RV_40E, RV_320E
 from rvjax.geometry.outputs import of_design
 from rvjax.status import succeeded
@@ -50,6 +50,10 @@ TURN += ("turn_pin_pressure", "arm_bearing_force", "support_bearing_force", "cra
 LIFE = ("life", "arm_bearing_life", "static_safety", "rated_torque")
 RATED = dict(duty=((412.0, 1.5, 1.0),), rated_life=2e7, rated_speed=1.5)
 SPINNING = ("static_transmission_error", "dynamic_transmission_error", "dynamic_vibration")
+FRICTION = Friction(0.05, None, 0.002, 0.0015, 0.01, input_drag=0.05, output_drag=8.0, static_factor=1.2)
+RUNNING = ("efficiency", "backward_efficiency", "starting_torque", "no_load_torque", "power_loss")
+STANDING = ("back_driving_torque", "hysteresis")
+SLIDING = WHOLE.replace(bearings=RV_40E.bearings, friction=FRICTION)
 CASES = {  # design, outputs, conditions
     "four bar": (WHOLE, ("transmission_error",), RUN),
     "four bar, misfit": (WHOLE, ("misfit",), RUN),
@@ -65,11 +69,13 @@ CASES = {  # design, outputs, conditions
     "turn": (WHOLE, TURN, RUN | dict(second_torque=200.0, order=40)),
     "life": (WHOLE.replace(bearings=RV_40E.bearings), LIFE, RUN | RATED),
     "turn and life": (WHOLE.replace(bearings=RV_40E.bearings), ("loaded_transmission_error", "life"), RUN | RATED),
+    "running": (SLIDING, RUNNING, RUN | dict(output_speed=1.5, running_samples=3)),
+    "standing": (SLIDING, STANDING, RUN | dict(probe_angles=1, running_samples=3)),
     "speed": (WHOLE, SPINNING, RUN | dict(load_inertia=10.0, speeds=4)),
 }
 # These compile long; a quicker way through most of the same model runs by default.
 LONG = ("four bar, misfit", "four bar, curve", "lost motion, contact", "dynamics", "balance")
-LONG += ("loaded", "bench", "turn", "life", "turn and life", "speed")
+LONG += ("loaded", "bench", "turn", "life", "turn and life", "running", "standing", "speed")
 
 
 def test_no_output_is_left_out():
@@ -99,7 +105,7 @@ def drawn(design, random):
 @pytest.mark.parametrize("case", [pytest.param(c, marks=pytest.mark.long) if c in LONG else c for c in CASES])
 def test_gradients_are_slopes_of_the_plain_value(case):
     design, outputs, given = CASES[case]
-    h = 1e-4 if case in ("loaded", "bench", "turn", "life", "turn and life", "speed") else 1e-3
+    h = 1e-4 if case in LONG[5:] else 1e-3
     response = Response.of(design, outputs, models.kind(design).conditions(**given))
 
     def values(errors):
