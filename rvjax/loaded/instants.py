@@ -57,17 +57,22 @@ def instants(
             the last two.
     """
 
+    def from_start(start: jax.Array, torque: jax.Array, angle: jax.Array) -> tuple[Found, SolveInfo]:
+        case = prepare(layout, read, jax.lax.stop_gradient(angle)).loaded(torque)
+        return solve(layout, read, jax.lax.stop_gradient(case), start)
+
     def onward(known: Pair, at: tuple[jax.Array, ...]) -> tuple[Pair, tuple[Found, SolveInfo]]:
         (last, earlier), (torque, angle, number) = known, at  # NaN where there is none
         start = jnp.where((number == 2) & jnp.isfinite(earlier), 2 * last - earlier, last)
-        case = prepare(layout, read, jax.lax.stop_gradient(angle)).loaded(torque)
-        case = jax.lax.stop_gradient(case)
-        found, info = solve(layout, read, case, jnp.where(number == 0, jnp.nan, start))
+        found, info = from_start(jnp.where(number == 0, jnp.nan, start), torque, angle)
         here = jnp.where(succeeded(info.status), found.q, jnp.nan)
         return (here, jnp.where(number == 0, jnp.nan, last)), (found, info)
 
     none = jnp.full((layout.unknowns,), jnp.nan, torques.dtype)
-    found, info = solved(jax.lax.scan(onward, (none, none), (torques, input_angles, jnp.asarray(before)))[1])
+    if np.any(before):
+        found, info = solved(jax.lax.scan(onward, (none, none), (torques, input_angles, jnp.asarray(before)))[1])
+    else:  # one queue for all instants, so that slow ones are waited for once
+        found, info = solved(jax.vmap(partial(from_start, none))(torques, input_angles))
     measure = jax.checkpoint(partial(_measure, layout), static_argnums=())
     error, loads, arm, support = jax.lax.map(lambda x: measure(read, *x), (torques, input_angles, found, info.status))
     return Instants(error, loads, arm, support, info)

@@ -1,7 +1,7 @@
 """The minimum of the energy: Newton's method for many cases at once, batch axis last.
 
 It begins with the contacts that a torque of this sign closes, linear and without clearance. Then full steps; only after
-four without a new lowest energy a case returns to its best point and searches the line from there (its slope is
+eight without a new lowest energy a case returns to its best point and searches the line from there (its slope is
 monotone, because the energy is convex). An immediate search fails where a journal slides round its clearance: it leaves
 the circle by the second order, so that the energy of good steps rises for a while.
 

@@ -55,7 +55,7 @@ def revolution(
     carrier: str = "fixed",
     sun: str = "fixed",
 ) -> Revolution:
-    """Equilibria along the turn of the output, each from the line through the two before.
+    """Equilibria along the turn of the output; those of an RV reducer start from the line through the two before.
 
     Args:
         design: as in `equilibrium`.
@@ -86,13 +86,15 @@ def _revolution(
     read = admit(layout, design, errors, output_torque, turns)
     order = jnp.arange(samples, dtype=read.torque.dtype)
     step = 2 * jnp.pi * design.ratio * read.angle / samples  # `admit` checked the turns in the place of the angle
+    # One to three pins of a single-stage drive carry, and others at the next angle: those before are no better start.
+    before = np.minimum(2 * np.arange(samples), 2 if layout.links else 0)
     return summary(
         instants(
             layout,
             read,
             jnp.broadcast_to(read.torque, order.shape),
             step * order,
-            np.minimum(2 * np.arange(samples), 2),
+            before,
         )
     )
 
