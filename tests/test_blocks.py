@@ -50,7 +50,7 @@ def test_equilibria_are_one_block_of_a_gpu(platform, lanes, other):
     assert branches > 10 if platform == "cpu" else branches < 10
 
 
-@pytest.mark.parametrize(("platform", "lanes", "other"), [("cpu", 512, 600), ("cuda", 600, 512)])
+@pytest.mark.parametrize(("platform", "lanes", "other"), [("cpu", 192, 600), ("cuda", 600, 192)])
 def test_roller_forces_are_one_block_of_a_gpu(platform, lanes, other):
     def windup(*numbers):
         return equilibrium("hertz", 5, Case(*numbers)).windup

@@ -46,6 +46,7 @@ class Found(NamedTuple):
     load: jax.Array  # u (n,)
     steps: jax.Array
     residual: jax.Array  # moment missing, relative to the larger of the torque and the sum of |moments|
+    loaded: jax.Array  # a roller is; read here, where rollers come first
     overload: jax.Array  # a load limit is passed
     finite: jax.Array
 
@@ -89,7 +90,8 @@ def solve_block(law: str, teeth: int, case: Case, size: int) -> Found:
     windup = jnp.where(fine & ~exact, found["windup"], windup)
     found = _left_open(law, teeth, case, torque, ~(fine & exact), windup, found)
     residual = _missing(rows, found["load"], torque)
-    return Found(found["windup"], found["load"].T, found["steps"], residual, found["overload"], found["finite"])
+    load, loaded = found["load"], _largest(found["load"]) > 0
+    return Found(found["windup"], load.T, found["steps"], residual, loaded, found["overload"], found["finite"])
 
 
 def _moment(rows: _Rows, roller: Callable[[int], tuple[jax.Array, jax.Array]]) -> tuple[jax.Array, jax.Array]:

@@ -111,6 +111,7 @@ def _shapes(teeth: int, case: Case) -> PyTree:
         load=number.update(shape=(size, teeth + 1)),
         steps=number.update(dtype=jnp.int32),
         residual=number,
+        loaded=number.update(dtype=bool),
         overload=number.update(dtype=bool),
         finite=number.update(dtype=bool),
     )
@@ -182,12 +183,13 @@ def solve(
             f"CamRollerErrors.roller_radius: shape {np.shape(errors.roller_radius)}, expected () or ({z + 1},)"
         )
     design, errors, torque, angle = promote(design, errors, input_torque, output_angle)
-    leaves = jax.tree.leaves((design, errors, torque, angle))
-    finite = functools.reduce(operator.and_, [jnp.all(jnp.isfinite(leaf)) for leaf in leaves])
+    widest = jnp.max(jnp.abs(errors.roller_radius))  # NaN where one is
+    leaves = jax.tree.leaves((design, errors.replace(roller_radius=widest), torque, angle))
+    finite = functools.reduce(operator.and_, [jnp.isfinite(leaf) for leaf in leaves])
     finite &= jnp.abs(z * angle) < LARGEST_ANGLE
     possible = signs_hold(design) & (jnp.abs(design.poisson_ratio) < 1)
     possible &= design.eccentricity < design.cam_radius + design.roller_radius
-    in_range, crushing = _in_range(design, errors, torque)
+    in_range, crushing = _in_range(design, errors, widest, torque)
     crushing &= contact == "hertz"
     refusals = (
         (~(finite & (~possible | in_range | crushing)), Status.NONFINITE),
@@ -211,18 +213,20 @@ def solve(
         (~found.finite, Status.NONFINITE),
         (found.overload, Status.CONTACT_OVERLOAD),
         (~(found.residual <= tolerance), Status.MAX_STEPS),
-        ((case.torque == 0) & ~jnp.any(load > 0), Status.UNLOADED),
+        ((case.torque == 0) & ~found.loaded, Status.UNLOADED),
         info=converged(found.residual, found.steps),
     )
     return MeshForces(cam, cage, gear, windup, info)
 
 
-def _in_range(design: CamRollerReducer, errors: CamRollerErrors, torque: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _in_range(
+    design: CamRollerReducer, errors: CamRollerErrors, widest: jax.Array, torque: jax.Array
+) -> tuple[jax.Array, jax.Array]:
     """True if no product overflows, and True if only the load does; squares of the ratios are formed."""
     r, e, link = design.roller_radius, design.eccentricity, design.cam_radius + design.roller_radius
     _, root = window(torque, 0.5)
     unit = line_contact.load_unit(design.young_modulus, design.poisson_ratio, design.roller_length, r)
-    interference = jnp.max(jnp.abs(errors.cam_radius) + jnp.abs(errors.eccentricity) + jnp.abs(errors.roller_radius))
+    interference = jnp.abs(errors.cam_radius) + jnp.abs(errors.eccentricity) + widest
     ratios = (link / r, link / e, link / design.cam_radius, interference / r, design.roller_length / r)
     load = jnp.abs(design.cam_share * torque) / (unit * e)
     sound = (unit < root) & (link * e * r > 1 / root)
