@@ -64,7 +64,9 @@ def factor(
 
     def fit(shape: np.ndarray) -> scipy.optimize.OptimizeResult:
         first = np.full(shape.shape[1], np.median(log_power) - MEDIAN)
-        near = scipy.optimize.least_squares(lambda x: shape @ x - log_power - EULER, first, lambda _: shape, loss="soft_l1")
+        near = scipy.optimize.least_squares(
+            lambda x: shape @ x - log_power - EULER, first, lambda _: shape, loss="soft_l1"
+        )
         return scipy.optimize.minimize(cost, near.x, args=(shape,), jac=True, method="BFGS")
 
     found, flat = fit(hats), fit(np.ones((len(bins), 1)))
