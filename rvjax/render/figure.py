@@ -80,7 +80,7 @@ def saved(figure: "Drawn | SubFigure", form: str = "png") -> bytes:
     if (layout := figure.get_layout_engine()) is not None:
 
         def arrange(_: object) -> None:  # the first of two drawings in `savefig` is not shown: its layout is enough
-            del figure.draw  # type: ignore[method-assign]
+            del figure.draw
             layout.execute(figure)
 
         figure.draw = arrange  # type: ignore[method-assign, assignment]
