@@ -159,7 +159,7 @@ def test_many_units_go_to_a_gpu_unless_a_platform_is_named(monkeypatch, named, t
     before = jax.local_devices
     monkeypatch.setenv("JAX_PLATFORMS", named or "")
     monkeypatch.setattr(jax, "local_devices", local)
-    with speak.units_placed(seconds) as device:
+    with speak.units_placed(lambda: seconds) as device:
         assert device == due and units_devices() == (there if due.startswith("H100") else before())
     assert units_devices() == before()
 

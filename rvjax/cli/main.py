@@ -6,6 +6,7 @@ Bad input ends with one line on standard error and exit code 2; a study without 
 
 import argparse
 import functools
+import gc
 import io
 import logging
 import os
@@ -114,6 +115,7 @@ def _prepare(*, gpu: bool = False) -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     os.environ.setdefault("MPLBACKEND", "Agg")
+    gc.set_threshold(100_000, 20, 20)  # imports, tracing and drawing make objects that stay
     named = os.environ.get("JAX_PLATFORMS")
     if not (gpu or named):  # a GPU takes seconds to start
         os.environ["JAX_PLATFORMS"] = "cpu"

@@ -7,7 +7,7 @@ import argparse
 import contextlib
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TextIO
@@ -32,13 +32,13 @@ def may_use_gpu(command: str, processes: int) -> bool:
 
 
 @contextlib.contextmanager
-def units_placed(seconds: float | None) -> Iterator[str]:
+def units_placed(seconds: Callable[[], float | None]) -> Iterator[str]:
     """A context within which units are computed where they gain: on the GPUs of JAX, if `JAX_PLATFORMS` names none.
 
     All else stays on the default device, for `rvjax` the processor.
 
     Args:
-        seconds: of two cores that the units take; None: unknown.
+        seconds: of two cores that the units take, None for unknown; called only if there is a GPU.
 
     Yields:
         The devices of the units in words.
@@ -48,9 +48,10 @@ def units_placed(seconds: float | None) -> Iterator[str]:
     from rvjax.response import units_devices, units_on
 
     named, gpus = os.environ.get("JAX_PLATFORMS"), list[jax.Device]()
-    if named or (seconds or 0.0) >= _GPU_GAINS:
-        with contextlib.suppress(RuntimeError):  # JAX has none
-            gpus = jax.local_devices(backend="gpu")
+    with contextlib.suppress(RuntimeError):  # JAX has none
+        gpus = jax.local_devices(backend="gpu")
+    if gpus and not named and (seconds() or 0.0) < _GPU_GAINS:
+        gpus = []
     with units_on(gpus):
         devices = units_devices()
         kind = "the processor" if devices[0].platform == "cpu" else devices[0].device_kind

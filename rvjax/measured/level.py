@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterable
 
 import numpy as np
-from scipy import optimize
+import scipy
 
 from rvjax.measured.atoms import Model
 from rvjax.measured.sampling import spectrum
@@ -62,10 +62,12 @@ def factor(
         inside = off < OUTLIER
         return float(np.sum(held - np.minimum(off, OUTLIER))), shape.T @ (inside * (1 - held))
 
-    def fit(shape: np.ndarray) -> optimize.OptimizeResult:
+    def fit(shape: np.ndarray) -> scipy.optimize.OptimizeResult:
         first = np.full(shape.shape[1], np.median(log_power) - MEDIAN)
-        near = optimize.least_squares(lambda x: shape @ x - log_power - EULER, first, lambda _: shape, loss="soft_l1")
-        return optimize.minimize(cost, near.x, args=(shape,), jac=True, method="BFGS")
+        near = scipy.optimize.least_squares(
+            lambda x: shape @ x - log_power - EULER, first, lambda _: shape, loss="soft_l1"
+        )
+        return scipy.optimize.minimize(cost, near.x, args=(shape,), jac=True, method="BFGS")
 
     found, flat = fit(hats), fit(np.ones((len(bins), 1)))
     if 2 * (flat.fun - found.fun) < COLOURED:

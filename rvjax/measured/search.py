@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from scipy import optimize
+import scipy
 
 from rvjax.measured.atoms import Atom, Model, memory
 from rvjax.measured.sampling import Sampling, spectrum
@@ -87,7 +87,7 @@ def _loss(model: Model) -> float:
 
 def _warm_up(model: Model, sampling: Sampling) -> Atom:
     """The warm-up that explains most."""
-    found = optimize.minimize_scalar(
+    found = scipy.optimize.minimize_scalar(
         lambda log: model.more(Atom("warm-up", math.exp(log) * sampling.stroke)),
         bounds=(math.log(TIMES[0]), math.log(TIMES[1])),
         method="bounded",
@@ -139,7 +139,7 @@ def _waves(
         return
     start = float(order[inside][np.argmax(power[inside])])
     half = 0.5 / sampling.turns
-    near = optimize.minimize_scalar(
+    near = scipy.optimize.minimize_scalar(
         lambda at: model.more(Atom("line", float(at))),
         bounds=(max(start - half, 0.3), min(start + half, top)),
         method="bounded",

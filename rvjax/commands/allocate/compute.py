@@ -20,6 +20,6 @@ def compute(inputs: Inputs) -> Answer | None:
     """Compute the result and solve the unit without errors; None if the result is stored."""
     if inputs.kept is not None:
         return None
-    with units_placed(seconds_of_units(inputs.study)) as device:
+    with units_placed(lambda: seconds_of_units(inputs.study)) as device:
         tell(device)
         return answer.answer(inputs.study, progress=not inputs.quiet, memo=inputs.memo, measure=inputs.measure)

@@ -59,8 +59,7 @@ def compute(inputs: Inputs) -> Sampled | None:
             device = f"the processor, {options.processes} processes"
             found = batch.run_in_processes(options.command, options.processes, text=wanted.study.text)
         else:
-            unit, samples = unit_seconds(wanted.study), wanted.samples or wanted.study.certificate_samples
-            with units_placed(unit and unit * samples) as device:
+            with units_placed(lambda: _seconds(wanted)) as device:
                 found = batch.run(wanted)
     if not first:
         return None
@@ -70,6 +69,12 @@ def compute(inputs: Inputs) -> Sampled | None:
     if wanted.keep:
         tolerances.save(found, options.save, study=about)
     return Sampled(wanted.study, found, device)
+
+
+def _seconds(wanted: batch.Batch) -> float | None:
+    """Seconds of two cores that the units take; None: unknown."""
+    unit = unit_seconds(wanted.study)
+    return None if unit is None else unit * (wanted.samples or wanted.study.certificate_samples)
 
 
 def _batch(inputs: Inputs, group: Processes | None = None) -> batch.Batch:

@@ -60,7 +60,7 @@ def compute(inputs: Inputs) -> Shown | None:
     """Compute or read the result; compute surrogate, budget, lives and losses. None if the page shows all that."""
     if inputs.shown:
         return None
-    with units_placed(seconds_of_units(inputs.study) if inputs.answer is None else 0.0) as device:
+    with units_placed(lambda: seconds_of_units(inputs.study) if inputs.answer is None else 0.0) as device:
         tell(device)
         return _shown(inputs)
 

@@ -18,7 +18,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import optimize
+import scipy
 
 from rvjax.records import promote
 from rvjax.tolerances.optimum.sample_average import Point
@@ -59,7 +59,7 @@ def cheapest(
 
         bounds = [(0.0, _MOST)] * len(distance)
         options = dict(ftol=1e-15, gtol=_KNOWN, maxiter=200, maxcor=20)
-        prices = optimize.minimize(dual, first, jac=True, bounds=bounds, options=options).x
+        prices = scipy.optimize.minimize(dual, first, jac=True, bounds=bounds, options=options).x
     growth = _GROWTH
     while True:
         _, excess, found, _ = model.minima(prices)

@@ -10,7 +10,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from scipy import optimize
+import scipy
 
 from rvjax.tolerances.optimum.conlin import cheapest, total_cost
 from rvjax.tolerances.optimum.cost import Cost
@@ -53,7 +53,7 @@ def residual(costs: tuple[Cost, ...], point: Point, distance: np.ndarray, low: n
     if not len(rows):
         return 0.0
     rows = np.column_stack([rows / np.maximum(np.abs(rows).max(axis=0, initial=0.0), _TINY), -np.ones(len(rows))])
-    found = optimize.linprog(np.eye(rows.shape[1])[-1], rows, most)  # prices and residual, none negative
+    found = scipy.optimize.linprog(np.eye(rows.shape[1])[-1], rows, most)  # prices and residual, none negative
     return float(found.fun) if found.success else math.nan
 
 

@@ -15,7 +15,8 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from scipy import optimize, special
+import scipy
+from scipy import special
 
 from rvjax.tolerances.optimum.jackknife import GROUPS, groups
 
@@ -162,7 +163,7 @@ def smooth_quantile(margins: np.ndarray, weights: np.ndarray, rejects: float, wi
         low -= 2 * (high - low)
     while excess(high) > 0:
         high += 2 * (high - low)
-    return float(optimize.brentq(excess, low, high, xtol=1e-10 * width + 1e-300, rtol=1e-12))
+    return float(scipy.optimize.brentq(excess, low, high, xtol=1e-10 * width + 1e-300, rtol=1e-12))
 
 
 def kernel(margins: np.ndarray, weights: np.ndarray, level: float, width: float) -> np.ndarray:
