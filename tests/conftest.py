@@ -139,6 +139,10 @@ def pytest_collection_modifyitems(config, items):
     items.sort(key=lambda item: FAMILIES.index(scope(item.nodeid)) if scope(item.nodeid) in FAMILIES else len(FAMILIES))
 
 
+def pytest_collection_finish(session):
+    gc.freeze()  # modules and tests stay to the end: no collection looks through them again
+
+
 PEAKS: dict[str, float] = {}
 BOUND = 3.0  # GB that a worker holds, beyond which it forgets
 

@@ -14,7 +14,6 @@ from rvjax._ground import frames
 from rvjax.catalogue import RV_40E
 from rvjax.tolerances import Allocation, Requirement, Tolerance, monte_carlo, sobol_indices
 
-pandas = pytest.importorskip("pandas")
 STACK = {"a": Tolerance.symmetric(1.0), "b": Tolerance.symmetric(2.0)}
 
 
@@ -24,6 +23,12 @@ def total(e):
 
 def both(e):
     return {"sum": e["a"] + e["b"], "difference": e["a"] - e["b"]}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def pandas():
+    """Imported when its first test runs: as many lines as SciPy, which every worker would read while it collects."""
+    return pytest.importorskip("pandas")
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,6 @@ step (a few machine epsilons).
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix
 import pytest
 from hypothesis import given, strategies as st
 
@@ -29,6 +28,8 @@ ANOMALY = jnp.linspace(-3.0, 3.0, 40)
 
 
 def test_scalar_root_equals_optimistix():
+    optimistix = pytest.importorskip("optimistix")  # here, or every worker would load it while it collects
+
     def theirs(e, m):
         solver = optimistix.Newton(rtol=1e-14, atol=1e-14)
         return optimistix.root_find(kepler, solver, m, args=(e, m), throw=False).value
