@@ -208,6 +208,7 @@ KIND = Kind(
     inaccurate=inaccurate,
     rated=RATED,
     orders=attrgetter("orders"),
+    multiples=attrgetter("multiples"),
     unit_errors=unit_errors,
     drawing=Drawing(_drawn, _caption, _compared, "Section of the drive, drawn to scale, before and after"),
     starts={"loaded": Start("cycloidal-17", PARTS, HEAD, tables=_with_torque)},
