@@ -213,7 +213,7 @@ def curve_of(points, text="angle [deg],error [arcsec]"):
 @pytest.mark.parametrize(
     ("change", "data", "words"),
     [
-        (('["offset"]', '["reading"]'), "", "identify.nuisance = 'reading': no observation of model 'loaded' has it"),
+        (('["offset"]', '["reading"]'), "", "the deformed housing is modelled for RV reducers only; an eccentric"),
         (('"loaded"', '"four_bar"'), "", "identify.model = 'four_bar': must be one of loaded"),
         (("unknown.eccentric_bearing", "unknown.pin_support"), "", "'output.pin_support' or 'contact.pin_support'"),
         (("unknown.eccentric_bearing", "unknown.pin_radius"), "", "an error of the parts; write its limits in [tole"),

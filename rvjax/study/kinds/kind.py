@@ -137,6 +137,7 @@ class Kind:
         following: what follows a number that changes.
         refuse: design -> None; raises ValueError, one line, for parts that do not fit together.
         doubts: design -> lines on numbers that no known reducer has.
+        coarse: (design, conditions, outputs) -> lines on angles that are too few for some outputs.
         inaccurate: (design, tolerances) -> lines on errors of the results, which every result prints.
         rated: rated torque of known reducers by name, N m.
         speed: largest speed of the output of known reducers, rad/s.
@@ -161,6 +162,7 @@ class Kind:
     following: Following = field(default_factory=Following)
     refuse: Callable[[Any], None] = _nothing
     doubts: Callable[[Any], list[str]] = _no_lines
+    coarse: Callable[[Any, Any, Collection[str]], list[str]] = _no_lines
     inaccurate: Callable[[Any, Any], list[str]] = _no_lines
     rated: Mapping[str, float] = field(default_factory=dict)
     speed: float = math.inf
