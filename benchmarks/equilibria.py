@@ -1,9 +1,13 @@
 """Time of one equilibrium of the loaded reducer by what it is for: `rvjax/levels/equilibria.toml`.
 
 `python -m benchmarks.equilibria` takes minutes and writes the file. CPU seconds of the programs that solve the units of
-`rv-40e-whole`, the least of some rounds, over the units and the equilibria of each.
+`rv-40e-whole` and `cycloidal-17`, the least of some rounds, over the units and the equilibria of each.
+`--only cycloidal` measures one kind of reducer and keeps the others. Its times have the ratio to a turn of the RV
+reducer in this run, so that all are those of one computer.
 """
 
+import argparse
+import re
 import time
 from importlib import resources
 from pathlib import Path
@@ -15,6 +19,7 @@ settings()
 import numpy as np  # noqa: E402  (after the flags)
 
 from rvjax import models, study  # noqa: E402
+from rvjax.levels.equilibria import contacts, measured  # noqa: E402
 from rvjax.levels.measure import machine  # noqa: E402
 from rvjax.outputs import Reading  # noqa: E402
 from rvjax.population import Population, root_key  # noqa: E402
@@ -22,8 +27,13 @@ from rvjax.response import numbers_of, parts  # noqa: E402
 
 UNITS, ROUNDS = 1024, 5
 LAWS = ("hertz", "linear")
-OUTPUTS = {"loaded_transmission_error": "", "bench_lost_motion": "", "life": "loaded_transmission_error"}
-"""Outputs, one for each kind; with one before it in the same program, whose time is taken off."""
+STUDIES = {"rv": "rv-40e-whole", "cycloidal": "cycloidal-17"}
+OUTPUTS = {
+    "rv": {"loaded_transmission_error": "", "bench_lost_motion": "", "life": "loaded_transmission_error"},
+    "cycloidal": dict.fromkeys(("turn_pin_pressure", "backlash", "bench_lost_motion", "fit_clearance"), ""),
+}
+"""Outputs, one for each use; with one before it in the same program, whose time is taken off."""
+LIMITS = {"life": 'lower = "6000 h"', "turn_pin_pressure": 'upper = "3 GPa"', "fit_clearance": 'lower = "0 um"'}
 
 
 def microseconds(text, outputs):
@@ -46,43 +56,67 @@ def microseconds(text, outputs):
     return 1e6 * best / UNITS, work
 
 
-def asked(law, outputs):
-    """The study `rv-40e-whole` with some of its outputs under a contact law."""
-    text = study.load("rv-40e-whole", solve=False).text
-    head = text[: text.index("# Accuracy and assembly")].replace(
-        "[conditions]\n", f'[conditions]\npin_contact = "{law}"\n'
-    )
-    head = head.replace("angles = 64               # crank angles of the misfit\n", "")
-    if "life" not in outputs:
-        head = "".join(line for line in head.splitlines(True) if not line.startswith("life_samples"))
-    else:
-        head += text[text.index("[[duty]]") : text.index("[requirement.life]")]
-    if outputs == ["bench_lost_motion"]:
-        head = "".join(line for line in head.splitlines(True) if not line.startswith("samples ="))
-    limits = {name: 'lower = "6000 h"' if name == "life" else 'upper = "1 arcmin"' for name in outputs}
-    return head + "".join(f"[requirement.{name}]\n{limit}\n" for name, limit in limits.items())
+def asked(name, law, outputs):
+    """The embedded study of a kind of reducer with some of its outputs under a contact law."""
+    own = study.load(STUDIES[name], solve=False)
+    tables = re.split(r"(?m)^(?=\[)", own.text)
+    read = models.kind(own.design).conditions_of(tuple(outputs))
+    kept = []
+    for table in tables:
+        head = table.partition("]")[0].lstrip("[").partition(".")[0]
+        if head == "conditions":
+            lines = table.splitlines(True)[1:]
+            given = (line for line in lines if line.partition(" =")[0] in read and _needed(line, outputs))
+            kept.append("".join(["[conditions]\n", f'pin_contact = "{law}"\n', *given]))
+        elif head in ("design", "tolerances") or (head == "duty" and "life" in outputs):
+            kept.append(table)
+    limits = {output: LIMITS.get(output, 'upper = "1 arcmin"') for output in outputs}
+    return "".join(kept) + "".join(f"[requirement.{output}]\n{limit}\n" for output, limit in limits.items())
+
+
+def _needed(line, outputs):
+    """Conditions that an output does not read are an error in a study."""
+    key = line.partition(" =")[0]
+    return "life" in outputs or not key.startswith("life")
 
 
 def main():
     """Measure, print and keep."""
-    found = {}
-    for law in LAWS:
-        for output, before in OUTPUTS.items():
-            outputs = [name for name in (before, output) if name]
-            spent, work = microseconds(asked(law, outputs), outputs)
-            own = next(kind for kind in work if kind not in found or law not in found[kind])
-            spent -= sum(found[kind][law] * count for kind, count in work.items() if kind != own)
-            found.setdefault(own, {})[law] = round(spent / work[own], 2)
-            print(law, own, found[own][law], flush=True)
-    place = Path(str(resources.files("rvjax.levels") / "equilibria.toml"))
-    design, about = study.load("rv-40e-whole", solve=False).design, machine()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", choices=list(OUTPUTS), help="this kind of reducer alone; the others are kept")
+    only, found, about, scale = parser.parse_args().only, {}, machine(), 1.0
+    if only is not None:
+        outputs = list(OUTPUTS["rv"])[:1]
+        spent, work = microseconds(asked("rv", "hertz", outputs), outputs)
+        scale = measured()["rv"]["turn"]["hertz"] * work["turn"] / spent
+        about = measured()["measured_on"]
+        print("scale", scale, flush=True)
+    for name, outputs_of in OUTPUTS.items():
+        if only not in (None, name):
+            found[name] = measured()[name]
+            continue
+        design = study.load(STUDIES[name], solve=False).design
+        found[name] = own = {"contacts": contacts(design)}
+        for law in LAWS if design.contact.pin_stiffness is not None else LAWS[:1]:
+            for output, before in outputs_of.items():
+                outputs = [each for each in (before, output) if each]
+                spent, work = microseconds(asked(name, law, outputs), outputs)
+                use = next(each for each in work if each not in own or law not in own[each])
+                spent -= sum(own[each][law] / scale * count for each, count in work.items() if each != use)
+                own.setdefault(use, {})[law] = round(scale * spent / work[use], 2)
+                print(name, law, use, own[use][law], flush=True)
     lines = [
-        "# Microseconds of one core for one equilibrium of a unit, by what it is for and the contact law.",
+        "# Microseconds of one core for one equilibrium of a unit, by kind of reducer, use and contact law.",
+        "# turn: at rated torque; probe, bench: +-0.1 and +-3 % of it; life: spread over a revolution; fit: no load.",
         "# Measured by `python -m benchmarks.equilibria`, which writes this file.",
-        f"pins = {design.cycloid.pin_count * design.cycloid.disc_count} # of all discs",
-        *(f"\n[{kind}]\n" + "\n".join(f"{law} = {us}" for law, us in by_law.items()) for kind, by_law in found.items()),
-        f'\n[measured_on]\nprocessor = "{about["processor"]}"\ncores = {about["cores"]}\njax = "{about["jax"]}"',
     ]
+    for name, own in found.items():
+        lines += [f"\n[{name}]", f"contacts = {own['contacts']} # pins and output pins, of all discs"]
+        for use, by_law in own.items():
+            if use != "contacts":
+                lines += [f"\n[{name}.{use}]", *(f"{law} = {us}" for law, us in by_law.items())]
+    lines += [f'\n[measured_on]\nprocessor = "{about["processor"]}"\ncores = {about["cores"]}\njax = "{about["jax"]}"']
+    place = Path(str(resources.files("rvjax.levels") / "equilibria.toml"))
     place.write_text("\n".join(lines) + "\n", "utf-8")
 
 

@@ -259,6 +259,11 @@ class CycloidalReducer(Record):
         shaft = {"shaft": abs(self.ratio), "shaft against the output": abs(self.ratio - 1)}
         return {name: float(order) for name, order in whole.items()} | shaft
 
+    @property
+    def multiples(self) -> tuple[int, ...]:
+        """Teeth and pins: every order of the output turn that one part makes is a multiple of one of them."""
+        return self.cycloid.disc_teeth, self.cycloid.pin_count
+
     def stiffer(self, factor: Scalar) -> Self:
         """Drive with all spring stiffnesses multiplied by a factor."""
         return self.replace(stiffness=jax.tree.map(lambda k: factor * k, self.stiffness))

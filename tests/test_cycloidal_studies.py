@@ -142,6 +142,29 @@ def test_warnings():
 
 
 @pytest.mark.parametrize(
+    (
+        "samples",
+        "response",
+        "words",
+        "due",
+    ),  # 6 holes, 17 lobes: orders 6, 12, 18, 17, 34 and 51 of a turn of the shaft
+    [
+        (12, "loaded_transmission_error", "order 12 of the holes over the span looks like the mean", 13),
+        (6, "loaded_transmission_error", "order 6 of the holes, order 12 of the holes, order 18 of the holes over", 7),
+        (17, "mean_shift", "order 17 of the pins, order 34 of the pins, order 51 of the pins over the span", 19),
+        (13, "loaded_transmission_error", "", 0),
+        (12, "hole_force", "", 0),
+    ],
+)
+def test_angles_that_see_the_passing_holes_at_equal_phases(samples, response, words, due):
+    given = f"samples = {samples}\n" + ('second_torque = "2 N m"' if response == "mean_shift" else "")
+    unit = "N" if response == "hole_force" else "arcmin"
+    found = study.parse_study(text("", given, response, unit), name="x", solve=False).doubts
+    assert len(found) == bool(words) and all(words in line for line in found)
+    assert all(line.endswith(f"set {due} or more, no divisor of such an order") for line in found)
+
+
+@pytest.mark.parametrize(
     ("design", "tolerances", "words"),  # 1.6 mm / 25 = 64 um
     [
         ('output.hole_clearance = "127 um"\n', "", ""),

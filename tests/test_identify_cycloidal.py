@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from rvjax import CycloidalErrors, cli, compensation, loaded, models, study
-from rvjax.catalogue import CYCLOIDAL_17
+from rvjax.catalogue import CYCLOIDAL_15, CYCLOIDAL_17
 from rvjax.loaded import observation
 from rvjax.render import Figure
+from rvjax.study.nuisances import part_orders
 from rvjax.units import arcsec, um
 
 STUDY = """
@@ -68,10 +69,15 @@ def unit():
 @pytest.fixture(scope="module")
 def error(unit):
     """Errors at some input angles under a torque, by one program for any number of them up to that of a turn."""
-    at = jax.jit(jax.vmap(lambda angle, torque: loaded.equilibrium(*unit, input_angle=angle, output_torque=torque)))
+    design, own = unit
+    at = jax.jit(
+        lambda errors, angle, torque: jax.vmap(
+            lambda x: loaded.equilibrium(design, errors, input_angle=x, output_torque=torque)
+        )(angle)
+    )
 
-    def found(angle, torque):
-        every = at(np.resize(angle, POINTS), np.full(POINTS, torque))
+    def found(angle, torque, errors=own):
+        every = at(errors, np.resize(angle, POINTS), torque)
         assert not np.any(every.info.status)
         return np.asarray(every.error)[: len(angle)]
 
@@ -144,6 +150,36 @@ def test_a_table_corrects_the_output(here, error, turns):
         assert np.std(whole) > 50 * arcsec and np.std(after) < 0.15 * np.std(whole)
 
 
+def test_the_housing_makes_its_own_orders_only(unit, error):
+    """Exact at any size of the errors: a carrier at rest with random pins makes multiples of zp."""
+    design, rng = unit[0], np.random.default_rng(8)
+    fixed = {"carrier_centre": 20 * um * rng.standard_normal(2), "shaft_centre": 20 * um * rng.standard_normal(2)}
+    pins = {"output_pin_offset": 20 * um * rng.standard_normal((6, 2)), "bearing_clearance": np.asarray(6 * um)}
+    fixed |= pins | {"ring_centre": np.zeros(2), "hole_radius": np.zeros((1, 6))}
+    curve = error(design.ratio * 2 * np.pi * np.arange(900) / 900, 4.0, CycloidalErrors.for_design(design, **fixed))
+    waves = 2 * np.abs(np.fft.rfft(curve)) / 900
+    alone = list(part_orders(design, range(1, 450)))
+    assert {17, 34, 51} < set(alone) and not {18, 36, 108} & set(alone)
+    assert waves[18] > 20 * arcsec and np.max(waves[alone]) < 1e-6 * waves[18]
+    assert part_orders(CYCLOIDAL_15, (15, 16, 17, 18)) == (16, 17)  # the ring at rest: holes and teeth have 3 in common
+
+
+def test_the_curve_of_another_reducer_is_noticed(here, capsys):
+    """Orders of 39 teeth and 40 pins on a drive with 18; the measured curves of the drive itself say nothing."""
+    at = np.arange(720) * np.pi / 360
+    lines = {2: 9.0, 39: 12.0, 40: 20.0, 80: 6.0, 36: 3.0}
+    values = sum(size * np.cos(k * at + k) for k, size in lines.items()) + np.random.default_rng(1).normal(size=720)
+    rows = [f"{180 * x / np.pi:.6f},{value:.4f}" for x, value in zip(at, values)]
+    (here / "other.csv").write_text("\n".join(["angle [deg],error [arcsec]", *rows]) + "\n")
+    assert cli.main(["compensate", "unit.toml", "other.csv", "--quiet", "--results", "other"]) == 0
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "no part of this drive" in line]
+    assert line.startswith("warning: orders 39, 40, 80") and "not multiples of 17 or 18" in line
+    rms = float(line.split("they have")[1].split()[0])
+    assert rms == pytest.approx(np.hypot.reduce([12, 20, 6]) / np.sqrt(2), rel=0.02)
+    assert cli.main(["compensate", "unit.toml", "unit.csv", "--quiet", "--results", "own"]) == 0
+    assert "no part of this drive" not in capsys.readouterr().out
+
+
 LINES = {17: 5.0, 18: 4.0, 108: 18.0, 216: 5.0, 306: 2.0, 324: 2.0, 432: 1.0, 540: 0.6, 612: 0.4, 648: 0.4}
 
 
@@ -177,7 +213,7 @@ def curve_of(points, text="angle [deg],error [arcsec]"):
 @pytest.mark.parametrize(
     ("change", "data", "words"),
     [
-        (('["offset"]', '["reading"]'), "", "identify.nuisance = 'reading': no observation of model 'loaded' has it"),
+        (('["offset"]', '["reading"]'), "", "the deformed housing is modelled for RV reducers only; an eccentric"),
         (('"loaded"', '"four_bar"'), "", "identify.model = 'four_bar': must be one of loaded"),
         (("unknown.eccentric_bearing", "unknown.pin_support"), "", "'output.pin_support' or 'contact.pin_support'"),
         (("unknown.eccentric_bearing", "unknown.pin_radius"), "", "an error of the parts; write its limits in [tole"),

@@ -13,7 +13,7 @@ from rvjax.records import PyTree
 
 @cache
 def measured() -> dict[str, Any]:
-    """Times of `equilibria.toml`: microseconds of one core by kind and contact law, and where they were measured."""
+    """Times of `equilibria.toml`: microseconds by kind of reducer, use and contact law, and the computer."""
     return tomllib.loads((resources.files("rvjax.levels") / "equilibria.toml").read_text("utf-8"))
 
 
@@ -33,17 +33,27 @@ def sources_of(design: PyTree, output: str) -> tuple[Source, ...]:
 def seconds(design: PyTree, results: Iterable[tuple[Source, Any]]) -> float | None:
     """Seconds of a unit on the cores of the measurement, None for a kind of equilibrium that was not measured.
 
-    Time is in proportion to the pins of all discs.
+    Time is in proportion to the pins of all discs, output pins among them.
 
     Args:
         design: the reducer.
         results: each with the conditions under which it is computed.
     """
-    kind, table, total = models.kind(design), measured(), 0.0
+    kind, table, total = models.kind(design), measured().get(design.kind, {}), 0.0
     for source, given in results:
         name, count = kind.work[source](given)
         each = table.get(name, {}).get(given.pin_contact)
         if each is None:
             return None
-        total += 1e-6 * each * count * design.cycloid.pin_count * design.cycloid.disc_count / table["pins"]
-    return total / table["measured_on"]["cores"]
+        total += 1e-6 * each * count * contacts(design) / table["contacts"]
+    return total / measured()["measured_on"]["cores"]
+
+
+def contacts(design: PyTree) -> int:
+    """Pins and output pins that touch the discs, counted for each disc.
+
+    Args:
+        design: counts are read.
+    """
+    counts = design.counts
+    return int(counts["discs"] * (counts["pins"] + counts.get("output_pins", 0)))

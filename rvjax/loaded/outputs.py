@@ -18,7 +18,7 @@ from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.loaded.cases import cases
-from rvjax.loaded.clearance import clearance
+from rvjax.loaded.clearance import Clearance, clearance
 from rvjax.loaded.conditions import Conditions, DriveConditions, ways
 from rvjax.loaded.equilibrium import equilibrium
 from rvjax.loaded.inputs import check_teeth
@@ -28,6 +28,7 @@ from rvjax.loaded.revolution import Revolution
 from rvjax.loaded.sources import HALF, PROBE, RATED, SLIGHT, second_turn, turn, turns_of, unloaded_turn
 from rvjax.loaded.torsion import secant, twisted
 from rvjax.outputs import KNOWN_ERROR, Curve, Description, Output, Reading, Solved, Usual
+from rvjax.records import PyTree
 from rvjax.status import SolveInfo, worst, worst_of
 from rvjax.units import MPa
 
@@ -100,6 +101,15 @@ def _pressure(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
     return jnp.max(found.pressure), found.info.status
 
 
+def _fit(design: PyTree, errors: PyTree, given: Conditions) -> Clearance:
+    """Least clearance of a drive over the span, without load."""
+    return clearance(design, errors, turns=turns_of(design, given), samples=given.samples)
+
+
+def _least(found: Clearance, design: PyTree, given: Conditions) -> Solved:
+    return found.least, found.info.status
+
+
 def _clearance(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
     found = clearance(design, errors, turns=turns_of(design, given), samples=given.samples)
     return found.least, found.info.status
@@ -170,6 +180,10 @@ def _of_turn(unit: str, meaning: str, name: str, refuse: Refuse | None = None, l
 
 def _along(given: Conditions) -> tuple[str, int]:
     return "turn", given.samples
+
+
+def _at_the_probe(given: Conditions) -> tuple[str, int]:
+    return "probe", 2 * given.probe_angles
 
 
 def _at_the_bench(given: Conditions) -> tuple[str, int]:
@@ -261,7 +275,7 @@ DESCRIPTION = Description(
             lambda design: (-np.inf, PRESSURE), "static safety 2: 4000 MPa dents hardened rollers (ISO 76)"
         )
     },
-    work={turn: _along, second_turn: _along, LOST_MOTION: _at_the_bench},
+    work={turn: _along, second_turn: _along, BACKLASH: _at_the_probe, LOST_MOTION: _at_the_bench},
 )  # fmt: skip
 
 _ALIKE = (
@@ -289,10 +303,11 @@ OTHERS = (
         | {
             "fit_clearance": Output(
                 "m", "least clearance of pins and holes over the span, discs and carrier turned to where it is largest",
-                _clearance, below_zero="interference, the drive jams or is preloaded", costly=False,
+                Reading((_fit,), _least), below_zero="interference, the drive jams or is preloaded", costly=False,
             )
         },
         cases=None,
+        work={**DESCRIPTION.work, _fit: lambda given: ("fit", given.samples)},
         observations=(replace(CURVE, head=None), LOOP),  # the deformation that a head reads is that of an RV reducer
         unknown="friction, tilting, inertia, twist of the shaft, creep and heat of polymers; rollers are assumed where "
         "ball bearings carry; forces for clearances above eccentricity/25",

@@ -3,7 +3,7 @@
 from rvjax.measured.branches import GRID as GRID
 from rvjax.measured.conditions import DIRECTIONS as DIRECTIONS, Conditions
 from rvjax.measured.curve import checked as checked
-from rvjax.measured.findings import findings as findings
+from rvjax.measured.findings import findings as findings, foreign as foreign
 from rvjax.measured.fit import Fitted as Fitted, fitted as fitted
 from rvjax.measured.judge import MOTOR as MOTOR, Judged as Judged, judge as judge
 from rvjax.measured.kind import Finding as Finding, Kind as Kind

@@ -1,7 +1,7 @@
 """Findings on a curve: points, stroke, closure, drift, noise, orders that are not distinguishable."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from rvjax.units import arcsec, deg
 
 ENDS = 40  # part of the readings that is an end of the curve, one in
 OPEN = 5.0  # standard deviations from which on the ends do not meet
+FOREIGN = 1 / 3
+"""Rms of orders that no part makes, over that of the others. Large errors of several parts reach 1/10 in equilibria."""
+NAMED = 4  # of these orders
 
 
 def findings(judged: Judged) -> tuple[Finding, ...]:
@@ -25,6 +28,31 @@ def findings(judged: Judged) -> tuple[Finding, ...]:
     every = [*_sampling(judged), *_closure(judged), *_drift(judged), *_noise(judged), *_lines(judged), *_bad(judged)]
     every += _alike(judged)
     return tuple(sorted(every, key=lambda finding: finding.warning))
+
+
+def foreign(judged: Judged, multiples: Sequence[int]) -> tuple[Finding, ...]:
+    """Warning of orders that no part of the measured object makes: another cause, or the curve of another object.
+
+    Args:
+        judged: the curve.
+        multiples: numbers of which every order of a part is a multiple; none: any order may be one.
+    """
+    if not multiples:
+        return ()
+    sizes = {int(atom.at): float(np.hypot(*judged.model.size(atom)[0])) for atom in judged.found("order")}
+    other = {k: size for k, size in sizes.items() if k > LOW and all(k % each for each in multiples)}
+    made = (size for k, size in sizes.items() if k > LOW and k not in other)
+    rms, own = (math.hypot(*each) / math.sqrt(2) for each in (other.values(), made))
+    if rms <= FOREIGN * own:
+        return ()
+    strongest = sorted(sorted(other, key=lambda k: -other[k])[:NAMED])
+    name = f"order{'s' if strongest[1:] else ''} {', '.join(map(str, strongest))}"
+    whole = " or ".join(map(str, multiples))
+    text = (
+        f"no part of this drive makes orders that are not multiples of {whole}. Above order {LOW} they have "
+        f"{rms / arcsec:.3g} arcsec (rms), the others {own / arcsec:.3g}. Check that the curve is of this drive"
+    )
+    return (Finding(name, rms, "rad", text, True),)
 
 
 def _sampling(judged: Judged) -> Iterator[Finding]:

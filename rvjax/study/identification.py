@@ -19,6 +19,7 @@ from rvjax.study.values import Toml, choice, integer, known, naming_field, quant
 from rvjax.tolerances import Tolerance
 
 KEYS = ("model", "orders", "noise", "nuisance", "shared", "unknown", "torques", "directions")
+HEADLESS = "; the deformed housing is modelled for RV reducers only; an eccentric scale is the nuisance 'mounting'"
 FINEST = 10_000
 """Highest order of the output revolution that a study may use."""
 
@@ -101,7 +102,8 @@ def parse_identification(
         has = name != "reading" or any(seen.head for seen in observations.values())
         has = has and (name not in DRAGS or any(seen.sided for seen in observations.values()))
         if name not in data.nuisances or not has:
-            raise ValueError(f"identify.nuisance = {name!r}: no observation of model {model!r} has it")
+            why = HEADLESS if name == "reading" and model == "loaded" else ""  # of another kind than an RV reducer
+            raise ValueError(f"identify.nuisance = {name!r}: no observation of model {model!r} has it{why}")
     shared = tuple(choice(name, own, "identify.shared") for name in _list(table, "shared"))
     torques = tuple(quantity(t, "N m", "identify.torques") for t in _list(table, "torques"))
     directions = tuple(choice(d, DIRECTIONS, "identify.directions") for d in _list(table, "directions")) or tuple(

@@ -39,12 +39,15 @@ def nuisance(name: str, orders: Sequence[int]) -> Tolerance:
 def part_orders(design: Design, orders: Iterable[int]) -> tuple[int, ...]:
     """The orders that only errors of parts or the mounting of the scale make: no harmonic of the housing has them.
 
-    |zp P - m| with P = m + c s is zc P + c s but for its sign (`loaded.housing_orders`).
+    With the ring at rest: |zp P - m| with P = m + c s is zc P + c s but for its sign (`loaded.housing_orders`), with c
+    equal places where discs and carrier meet. With the carrier at rest: multiples of the pins.
 
     Args:
-        design: the reducer; its cranks are equal.
+        design: the reducer; its places are equal.
         orders: of the output turn.
     """
     counts = getattr(design, "counts", {})
-    common = math.gcd(counts.get("teeth", 1), counts.get("cranks", 1))
+    common = math.gcd(counts.get("teeth", 1), counts.get(getattr(design, "places", ""), 1))
+    if getattr(design, "member", "carrier") == "ring":
+        common = counts["pins"]
     return tuple(order for order in orders if order % common)

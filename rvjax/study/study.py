@@ -235,6 +235,7 @@ class Study:
         outputs = {name: self.output(name) for name in self.requirements}
         return [
             *doubts(self.design, self.conditions, self.tolerances, self.forms),
+            *kind_of(self.design).coarse(self.design, self.conditions, tuple(self.requirements)),
             *doubtful_costs(self.costs, self.tolerances),
             *doubtful_limits(self.requirements, outputs),
         ]

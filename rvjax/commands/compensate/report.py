@@ -12,9 +12,10 @@ from rvjax.commands import measurement
 from rvjax.commands.compensate.compute import Corrections, Curve, periodic
 from rvjax.commands.compensate.inputs import Inputs
 from rvjax.compensation import Left, exported, predicted, residual
-from rvjax.measured import Finding, findings
+from rvjax.measured import Finding, findings, foreign
 from rvjax.records import PyTree
 from rvjax.render import CSV, PAGE, TEXT, Cell, Column, Figure, Interval, Note, Number, Quantity, Report, Table, Text
+from rvjax.study import kind_of
 from rvjax.units import arcsec
 
 ARCSEC: dict[str, PyTree] = {"unit": "rad", "read_in": "arcsec"}
@@ -32,7 +33,10 @@ def report(inputs: Inputs, found: Corrections) -> Report:
     left = [predicted(curve.correction, seed=study.seed) for curve in curves]
     noise = max(curve.found.residual_sd for curve in curves)
     head = f"Compensation {study.name}: ratio {curves[0].correction.ratio:g}, arcsec at the output"
-    found_in = {curve.label: findings(curve.judged) + _not_stored(curve) for curve in curves}
+    multiples = kind_of(study.design).multiples(study.design)
+    found_in = {
+        curve.label: findings(curve.judged) + foreign(curve.judged, multiples) + _not_stored(curve) for curve in curves
+    }
     rest = f"Besides the orders the curves contain {noise / arcsec:.3g} arcsec (rms) that no table corrects."
     paths = [] if inputs.export is None else _paths(inputs.export, curves)
     return Report(

@@ -9,9 +9,9 @@ from rvjax import identify
 from rvjax._ground import progress
 from rvjax.commands.identify.inputs import Inputs
 from rvjax.commands.speak import READING, WRITING
-from rvjax.measured import KINDS, Finding, judge
+from rvjax.measured import KINDS, Finding, foreign, judge
 from rvjax.records import PyTree
-from rvjax.study import Measured, Problem, Run, Study, candidates, inverse_problem, order_name, orders_of
+from rvjax.study import Measured, Problem, Run, Study, candidates, inverse_problem, kind_of, order_name, orders_of
 
 REJECTED = ("REJECTED", "MAX_STEPS", "NONFINITE")
 """Statuses without a result."""
@@ -84,12 +84,15 @@ class Identified:
     def findings(self) -> dict[str, tuple[Finding, ...]]:
         """Findings of every measurement, by unit and conditions."""
         kind, found = KINDS[self.problem.kind], {}
-        parts = orders_of(self.study.design)
+        design = self.study.design
+        parts, multiples = orders_of(design), kind_of(design).multiples(design)
         for item in (item for items in self.problem.items for item in items):
             name = f"{item.at.unit} {item.at.text()}".strip()
             while name in found:
                 name += " again"
             found[name] = kind.findings(item, parts)
+            if isinstance(item, Run):
+                found[name] += foreign(judge(item, parts), multiples)
         return found
 
     @property

@@ -1,8 +1,9 @@
 """Single-stage cycloidal drives: what follows from their numbers, and numbers that do not fit together."""
 
+import itertools
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from operator import attrgetter
 from typing import Any
 
@@ -20,6 +21,9 @@ PARTS = ("cycloid", "output", "stiffness", "contact", "bearings")
 INTERFERENCE = 0.1  # of the eccentricity; a smaller hole is a mistake in its diameter
 FAR_CLEARANCE = 1 / 25  # of the eccentricity; up to it the angles of the equilibrium hold within 1 %
 CONFORMAL = 10.0  # pin radius over eccentricity; beyond, pin and hole are too alike for the Hertzian theory
+OF_CURVE = ("loaded_transmission_error", "second_transmission_error", "unloaded_transmission_error", "mean_shift")
+"""Outputs that are read from the curve of a span at its samples."""
+HARMONICS = 3  # of the passing holes and pins
 HEAD = """# A study of the loaded drive to change, with the numbers of the {name}: replace them by those of your
 # drawing, then run rvjax check on this file. Tolerances, costs and limits are those of the study cycloidal-17.
 
@@ -150,6 +154,24 @@ def doubts(design: CycloidalReducer) -> list[str]:
     return found
 
 
+def coarse(design: CycloidalReducer, conditions: Any, outputs: Collection[str]) -> list[str]:
+    """Angles of a span that see the holes or pins, which the shaft passes, at equal phases: they look like the mean."""
+    seen = [name for name in outputs if name in OF_CURVE]
+    if not seen:
+        return []
+    turns = design.cycloid.pin_count if conditions.span == "output_turn" else 1
+    each = {"holes": turns * design.output.count, "pins": turns * design.cycloid.disc_teeth}
+    orders = {k * order: what for what, order in each.items() for k in range(1, HARMONICS + 1)}
+    alike = [f"order {k} of the {what}" for k, what in sorted(orders.items()) if not k % conditions.samples]
+    if not alike:
+        return []
+    fine = next(n for n in itertools.count(conditions.samples) if all(k % n for k in orders))
+    return [
+        f"conditions.samples = {conditions.samples}: {', '.join(alike)} over the span looks like the mean of "
+        f"{', '.join(seen)}; set {fine} or more, no divisor of such an order"
+    ]
+
+
 def inaccurate(design: CycloidalReducer, tolerances: CycloidalErrors) -> list[str]:
     """Clearances with which the linear gaps give wrong forces, at the loose limits of their tolerances: one line."""
 
@@ -205,9 +227,11 @@ KIND = Kind(
     facts=facts,
     refuse=refuse,
     doubts=doubts,
+    coarse=coarse,
     inaccurate=inaccurate,
     rated=RATED,
     orders=attrgetter("orders"),
+    multiples=attrgetter("multiples"),
     unit_errors=unit_errors,
     drawing=Drawing(_drawn, _caption, _compared, "Section of the drive, drawn to scale, before and after"),
     starts={"loaded": Start("cycloidal-17", PARTS, HEAD, tables=_with_torque)},

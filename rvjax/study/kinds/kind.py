@@ -1,7 +1,7 @@
 """Description of a kind of reducer for studies and commands: everything that its record does not hold."""
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -137,11 +137,13 @@ class Kind:
         following: what follows a number that changes.
         refuse: design -> None; raises ValueError, one line, for parts that do not fit together.
         doubts: design -> lines on numbers that no known reducer has.
+        coarse: (design, conditions, outputs) -> lines on angles that are too few for some outputs.
         inaccurate: (design, tolerances) -> lines on errors of the results, which every result prints.
         rated: rated torque of known reducers by name, N m.
         speed: largest speed of the output of known reducers, rad/s.
         of_another_size: (design, torque) -> line on a rated torque that belongs to a reducer of another size, or "".
         orders: design -> {part: order of the output revolution}; None where no bench measures its curve.
+        multiples: design -> numbers of which every order of one part is a multiple; empty: any order may be one.
         unit_errors: `rvjax.mounting.unit_errors` or its like; None where no parts are matched.
         drawing: to scale; None: no drawing.
         starts: new studies by model, the usual one first.
@@ -160,11 +162,13 @@ class Kind:
     following: Following = field(default_factory=Following)
     refuse: Callable[[Any], None] = _nothing
     doubts: Callable[[Any], list[str]] = _no_lines
+    coarse: Callable[[Any, Any, Collection[str]], list[str]] = _no_lines
     inaccurate: Callable[[Any, Any], list[str]] = _no_lines
     rated: Mapping[str, float] = field(default_factory=dict)
     speed: float = math.inf
     of_another_size: Callable[[Any, float], str] = _no_text
     orders: Callable[[Any], Mapping[str, float]] | None = None
+    multiples: Callable[[Any], Sequence[int]] = _no_lines
     unit_errors: Callable[..., Any] | None = None
     drawing: Drawing | None = None
     starts: Mapping[str, Start] = field(default_factory=dict)
