@@ -420,3 +420,29 @@ def test_nothing_is_learned_where_no_quantile_is_left():
         assert wide.margins[0] == np.inf and not wide.slopes.any()
     fine = training.point(np.array([1.2, 1.0, 1.0]))
     assert fine.margins[0] < 0.2 and np.isfinite(fine.slopes).all() and fine.slopes[0, 0] > 0
+
+
+def test_where_an_audit_fails_all_costly_units_are_solved_and_the_search_goes_on(monkeypatch):
+    """Predicted values may mislead an audit. Differences along rays would solve some hundred samples a step."""
+    search, start, ends = of_play(), np.array([1.2, 1.2, 3.0]), []
+    training = search.training
+
+    def stands(point):
+        units = Population.of(PLAY | {"held": Tolerance.symmetric(0.5)})
+        places = {name: PLAY[name].with_half_width(float(t)) for name, t in zip(PLAY, point.half_widths)}
+        ends.append((point, followed(opening, units.with_tolerances(places), aims={"play": []})[3][0]["play"][:2048]))
+        return len(ends) > 1
+
+    monkeypatch.setattr(search, "stands", stands)
+    renewed = training.renew
+
+    def renew(half_widths):
+        renewed(half_widths)
+        np.testing.assert_array_equal(training.values(half_widths)[0], ends[-1][1])
+
+    monkeypatch.setattr(training, "renew", renew)
+    point, settled = search.find(search.look(start), start)
+    assert settled and search.audited and len(ends) == 2
+    assert search.rays is None and training.followed.solved < 12 * 2048
+    assert not np.array_equal(training.values(start)[0], ends[-1][1])
+    assert abs(SETTLES.learned(ends[-1][1], training.distance[0]) - point.margins[0]) < 0.01

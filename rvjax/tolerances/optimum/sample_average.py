@@ -33,6 +33,7 @@ _FEWEST_LANES, _LANES_PART, _LANES_OF_A_FIELD = 256, 32, 16
 _MEASURED = 256  # costly units behind the way of a nominal unit to its limit
 _NEARBY = 0.1  # logarithm of a half-width, within which costly units keep their slopes
 IDLE = 0.25  # part of the way to a limit, beyond which costly units need no slopes
+_FARTHER = 2.0  # times as far inside its limit as the nominal response: the median of units whose errors take play off
 _SEEN = 6  # units beyond a limit at the target, among the first few that are solved; their number doubles
 _MET, _MISSED = 0.02, 2.5e-3  # probability of what few units show at the target, above which they decide nothing
 _REMEMBERED = 8  # sets of half-widths whose values are kept, because they are often evaluated again
@@ -108,6 +109,22 @@ class Training:
         self.correction, self.powers = np.ones(len(self.distance)), np.full(len(self.distance), 2.0)
         self.powers[: len(requirements)] = [item.power for item in requirements.values()]  # by which half-widths add up
 
+    def recentred(self, half_widths: np.ndarray) -> bool:
+        """Measure the way to a limit from the median of the units where errors take it far inside; True if any did.
+
+        Position errors of many pins take up most of a backlash. Seen from a nominal response next to the limit, units
+        beyond it would count by how far they are beyond, and slopes come out at a third of their size.
+        """
+        if self.followed is None:
+            return False
+        inside = -np.median(self._unit_margins(self.values(half_widths)), axis=1)
+        farther = np.isfinite(inside) & (inside > _FARTHER * self.scales)
+        self.scales = np.where(farther, inside, self.scales)
+        self.distance[: len(inside)] = self.scales
+        if farther.any():
+            self._slopes = {}
+        return bool(farther.any())
+
     def _nominal(self) -> np.ndarray:
         """Required responses (k, n) of units whose only errors are those without a cost: all, or enough of them."""
         nothing = np.zeros(len(self.fields))
@@ -141,6 +158,14 @@ class Training:
             if name not in self._made or self._made[name][0] != t:  # of hundreds of fields often one alone has moved
                 self._made[name] = t, self.population.active[name].with_half_width(t)
         return self.population.with_tolerances({name: made for name, (_, made) in self._made.items()})
+
+    def renew(self, half_widths: np.ndarray) -> None:
+        """Solve all costly units at some half-widths; predicted values and slopes are forgotten."""
+        assert self.followed is not None
+        before = self.followed.solved
+        self.followed.all_at(self.with_half_widths(half_widths))
+        self.evaluated[0] += self.followed.solved - before
+        self._seen, self._slopes = {}, {}
 
     def margins(self, half_widths: np.ndarray) -> np.ndarray:
         """Margins of the constraints (c,)."""

@@ -79,6 +79,7 @@ _STATIONARY_APART = 0.2  # the same where slopes are differences of a sample
 _TELLING = 0.005  # change of the least cost that is not an error of the search
 _MOVES = (0.05, 0.2)  # of a limit, parts of the way to it; the second where the first changes nothing
 _INWARD = 0.99  # of a set that is not quite within the constraints
+_RENEWALS = 3  # searches of costly units after a failed audit
 _LOOSER = (0.3, 0.1, 0.03, 0.01)  # a single field, logarithms of the half-width
 
 
@@ -127,7 +128,10 @@ class Search:
 
     def opened(self, start: np.ndarray) -> tuple[Point, bool]:
         """Start of a search, and True if half-widths meet every requirement on the sample."""
-        point, few = self.begin(start), self.training.margins_of_few(self.low)
+        point = self.begin(start)
+        if self.training.recentred(point.half_widths):
+            point = self.begin(point.half_widths)
+        few = self.training.margins_of_few(self.low)
         finest = self.excess(self.training.margins(self.low) if few is None else few)
         if finest <= 0 or not np.isfinite(point.margins).all():
             return point, finest <= 0
@@ -147,13 +151,15 @@ class Search:
         """Cheapest half-widths from a point on, and True if they are an optimum of the sample.
 
         By derivatives first. Where an audit finds that these mislead, by differences along rays from what was
-        found, from the start and from the finest half-widths.
+        found, from the start and from the finest half-widths; for costly units by solving all of them there.
         """
         if self.rays is None:
             point, settled = self.run(point)
             self.audited = self.audited or (settled and self.stands(point))
             if len(self.history) >= self.max_steps or (settled and self.audited):
                 return point, settled
+            if self.training.followed is not None:
+                return self._renewed(point)
             self.rays = Rays(self.training)
             corners = [self.inside(self.rays.scaled(t)) for t in (point.half_widths, start, self.low)]
             corners = sorted((t for t in corners if self.rays.met(t)), key=self.cost)
@@ -163,6 +169,21 @@ class Search:
         ends = [self.loosened(self.run(self.look(t))[0].half_widths) for t in starts]
         best = self.look(min([t for t in ends if self.rays.met(t)] or ends, key=self.cost))
         return best, len(self.history) < self.max_steps and self.residual(best) <= _STATIONARY_APART * self.doubt
+
+    def _renewed(self, point: Point) -> tuple[Point, bool]:
+        """A search of costly units from a point on whose audit failed, and True if it ends at an optimum.
+
+        Differences along rays would solve all units some hundred times a step. Instead all are solved where the
+        search ended: predicted values have misled, or its steps were too coarse.
+        """
+        self.settled, self.gain = SETTLED, GAIN
+        for _ in range(_RENEWALS):
+            self.training.renew(point.half_widths)
+            point, settled = self.run(self.look(point.half_widths))
+            self.audited = settled and self.stands(point)
+            if self.audited or len(self.history) >= self.max_steps:
+                break
+        return point, settled and self.audited
 
     def run(self, best: Point, dearest: float = math.inf) -> tuple[Point, bool]:
         """Cheapest point from a given one, and True if the steps settled there.
