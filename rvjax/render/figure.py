@@ -77,13 +77,6 @@ def saved(figure: "Drawn | SubFigure", form: str = "png") -> bytes:
     from matplotlib.figure import Figure as Drawn
 
     assert isinstance(figure, Drawn)  # the types of Matplotlib allow a part of a figure
-    if (layout := figure.get_layout_engine()) is not None:
-
-        def arrange(_: object) -> None:  # the first of two drawings in `savefig` is not shown: its layout is enough
-            del figure.draw
-            layout.execute(figure)
-
-        figure.draw = arrange  # type: ignore[method-assign, assignment]
     file = io.BytesIO()
     with plt.rc_context({"svg.hashsalt": "rvjax"}):
         figure.savefig(file, format=form, dpi=150, metadata={"Date": None} if form == "svg" else None)
