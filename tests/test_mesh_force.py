@@ -143,6 +143,8 @@ BAD = (
     ("torque", 1e7, Status.CONTACT_OVERLOAD),
     ("torque", 1e300, Status.CONTACT_OVERLOAD),
     ("errors.cam_radius", 5e-3, Status.CONTACT_OVERLOAD),
+    ("errors.roller_radius", np.where(np.arange(26) == 7, np.nan, 0.0), Status.NONFINITE),  # of one roller
+    ("errors.roller_radius", np.where(np.arange(26) == 7, -1e200, 0.0), Status.NONFINITE),
 )
 
 

@@ -102,7 +102,7 @@ def _pressure(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
 
 
 def _fit(design: PyTree, errors: PyTree, given: Conditions) -> Clearance:
-    """Least clearance of a drive over the span, without load."""
+    """Least clearance of flanks, and of the holes of a drive, over the span without load."""
     return clearance(design, errors, turns=turns_of(design, given), samples=given.samples)
 
 
@@ -111,8 +111,7 @@ def _least(found: Clearance, design: PyTree, given: Conditions) -> Solved:
 
 
 def _clearance(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
-    found = clearance(design, errors, turns=turns_of(design, given), samples=given.samples)
-    return found.least, found.info.status
+    return _least(_fit(design, errors, given), design, given)
 
 
 def _one_more(design: RVReducer, given: Conditions) -> None:

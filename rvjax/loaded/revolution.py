@@ -88,15 +88,7 @@ def _revolution(
     step = 2 * jnp.pi * design.ratio * read.angle / samples  # `admit` checked the turns in the place of the angle
     # One to three pins of a single-stage drive carry, and others at the next angle: those before are no better start.
     before = np.minimum(2 * np.arange(samples), 2 if layout.links else 0)
-    return summary(
-        instants(
-            layout,
-            read,
-            jnp.broadcast_to(read.torque, order.shape),
-            step * order,
-            before,
-        )
-    )
+    return summary(instants(layout, read, jnp.broadcast_to(read.torque, order.shape), step * order, before))
 
 
 def summary(found: Instants) -> Revolution:
