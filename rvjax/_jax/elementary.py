@@ -1,9 +1,11 @@
 """Elementary functions that XLA leaves to scalar library calls in float64, written so that they vectorise.
 
 Each has its own derivative rule, agrees with the exact function to a few units in the last place, and is
-kept only where a benchmark shows a gain.
+kept only where a benchmark shows a gain. Each is a program of its own, so that a model that calls it fifty times traces
+it once: a loaded unit with lives is traced and lowered in three quarters of the time, with the same bits.
 """
 
+import functools
 import math
 
 import jax
@@ -19,6 +21,7 @@ _ATANH = [1 / (2 * n + 1) for n in range(1, 10)]  # of s^3, s^5 ..; the next is 
 
 
 @jax.custom_jvp
+@jax.jit
 def log(x: jax.Array) -> jax.Array:
     """Natural logarithm of positive normal numbers; anything else gives a number without meaning.
 
@@ -50,6 +53,7 @@ def root(x: jax.Array) -> jax.Array:
     return jnp.where(x > 0, jnp.sqrt(jnp.where(x > 0, x, 1)), 0 * x)
 
 
+@functools.partial(jax.jit, static_argnums=1)
 def power(base: jax.Array, exponent: float) -> jax.Array:
     """base ** exponent for a constant exponent; 0 with derivative 0 at base = 0.
 
@@ -74,6 +78,7 @@ LARGEST_ANGLE = 2.0**50
 
 
 @jax.custom_jvp
+@jax.jit
 def sin_cos(x: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Sine and cosine: to 2 units in the last place up to 1e5, of an angle within rounding of x up to `LARGEST_ANGLE`.
 
@@ -119,6 +124,7 @@ _ARCTAN = _arctan_coefficients()
 
 
 @jax.custom_jvp
+@jax.jit
 def arctan2(y: jax.Array, x: jax.Array) -> jax.Array:
     """Angle of the vector (x, y), -pi to pi, as `jnp.arctan2`, with a derivative of zero at (0, 0).
 
@@ -145,6 +151,7 @@ def _arctan2_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
     return arctan2(y, x), (x * dy - y * dx) / jnp.where(square == 0, 1, square)
 
 
+@jax.jit
 def divide(x: jax.Array, y: jax.Array) -> jax.Array:
     """x / y in multiplications, 0 for y = 0; within one unit in the last place.
 

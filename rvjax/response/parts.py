@@ -136,12 +136,14 @@ def evaluator(response: Response, population: Population, seed: int, method: str
 def begin_programs(response: Response, population: Population, *, slopes: bool = False) -> None:
     """Begin the programs of a costly response, see `Compiled.begin`: each is compiled while the next is traced.
 
+    The part with the most values comes first: mostly its program is the largest, and takes longest to compile.
+
     Args:
         response: in parts.
         population: of the units.
         slopes: with those of the gradients.
     """
-    own = parts(response, population)
+    own = sorted(parts(response, population), key=lambda part: -len(part.names))
     for part in own:
         begin(part.response, population)
     for part in own if slopes else ():
