@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from typing import Any, Self
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
@@ -91,7 +90,7 @@ class Training:
             self.lanes = min(samples, max(_FEWEST_LANES, _LANES_OF_A_FIELD * len(fields)))
         else:
             key, block = root_key(seed), min(samples, BLOCK)
-            self.blocks = [drawn(population, key, jnp.uint32(start), count=block) for start in range(0, samples, block)]
+            self.blocks = [drawn(population, key, np.uint32(start), count=block) for start in range(0, samples, block)]
         self._measure()
 
     def _measure(self) -> None:
@@ -356,7 +355,7 @@ class Training:
             z, parts = self.followed.z, [part.names for part in self.followed.parts]
         else:
             z, parts = np.concatenate([np.asarray(b) for b in self.blocks], axis=1), [self.names]
-        given = dict(zip(self.fields, jnp.asarray(half_widths, z.dtype)))
+        given = dict(zip(self.fields, np.asarray(half_widths, z.dtype)))
         units = padded(pull.units, PULLED)  # one program, however many there are
         both = (np.asarray(rows) for rows in elements_and_rates(self.population, given, z[:, units]))
         errors, rates = (rows[:, : len(pull.units)] for rows in both)
