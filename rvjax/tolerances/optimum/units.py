@@ -162,10 +162,7 @@ class Units:
         several: list[slice],
     ) -> list[np.ndarray]:
         """Derivatives as `slope`, of several parts of the units."""
-        count = z.shape[1]
-        lanes = padded(np.arange(count), PULLED * max(len(several), -(-count // PULLED)))
-        both = self.errors_and_rates(x, population, z[:, lanes])
-        errors, rates = (rows[:, :count] for rows in both)
+        errors, rates = self.errors_and_rates(x, population, z)
         slopes = self._gradients(population, errors, pulled, units)
         return [self.to_vector(x, population, slopes[:, part], rates[:, part]) for part in several]
 
@@ -197,9 +194,7 @@ class Units:
             population: with these decisions.
             z: (numbers, n) of the units.
         """
-        given = dict(zip(self._decisions.fields, self._decisions.half_widths(x)))
-        both = elements_and_rates(population, given, np.asarray(z, jnp.result_type(float)))
-        return np.asarray(both[0], float), np.asarray(both[1], float)
+        return elements_and_rates(population, dict(zip(self._decisions.fields, self._decisions.half_widths(x))), z)
 
     def slopes_to_z(self, population: Population, z: np.ndarray, pulled: dict[str, np.ndarray]) -> np.ndarray:
         """Gradients (numbers, n) of responses of units to their z."""
