@@ -44,7 +44,8 @@ def for_processor() -> bool:
 
 def default_platform() -> str:
     """Platform of what is on no device yet: of `jax.default_device`, else of the first device."""
-    device: Any = jax.config.jax_default_device
+    config: Any = jax.config  # its `values` would make a dict of all options
+    device = config.jax_default_device
     if device is None:
         return jax.local_devices()[0].platform
     return device if isinstance(device, str) else device.platform

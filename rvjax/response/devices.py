@@ -73,7 +73,8 @@ class Evaluator:
 
     def _z(self, first: int) -> jax.Array:
         if self._points is not None:
-            return on(self._mesh, np.asarray(self._points.z(first, self._count), jnp.result_type(float)))
+            points: Any = np.asarray(self._points.z(first, self._count), jnp.result_type(float))
+            return on(self._mesh, points)
         turn, first = divmod(first, TURN)
         z = self._drawn(turn, first)
         if (rest := TURN - first) < self._count:  # numbers of 32 bits begin again within the chunk

@@ -3,6 +3,7 @@
 import functools
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -89,7 +90,7 @@ def gradients(
         return values[rows][:, units], pulls(response, population, errors, state[:, units], weights)
     found, dtype = [], jnp.result_type(float)
     for lanes in calls(errors.shape[1], sloped_together()):
-        arrays = (np.asarray(rows[:, lanes], dtype) for rows in (errors, cotangents))
+        arrays: Any = (np.asarray(rows[:, lanes], dtype) for rows in (errors, cotangents))
         found.append(_on_all_devices(response, population, *arrays, names=names))
     parts = zip(*((value, slope) for value, _, slope in found))
     values, slopes = (np.concatenate([np.asarray(row, float) for row in part], axis=1) for part in parts)

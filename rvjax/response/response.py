@@ -134,8 +134,10 @@ class Compiled(Generic[R]):
 
     def shapes(self, response: Function, *arguments: PyTree, **static: object) -> R:
         """Shapes of the function's value; traced once for arguments of the same types."""
-        jitted, first = self._program(response)
-        return jitted.eval_shape(*first, *arguments, **static)  # type: ignore[no-any-return]
+        program, first = self._program(response)
+        jitted: Any = program
+        found: R = jitted.eval_shape(*first, *arguments, **static)
+        return found
 
     def _chosen(self, response: Function, arguments: PyTree) -> Options:
         """Options of the program; they are those of a processor."""
