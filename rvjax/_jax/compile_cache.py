@@ -65,7 +65,7 @@ _alone: list[object] = []  # the latest state of JAX outside of any program
 
 def _traced() -> bool:
     state: object = jax.core.get_opaque_trace_state(convention="rvjax")
-    if _alone == [state]:  # an operation takes sixty times as long to tell
+    if _alone == [state]:  # an operation takes sixty times as long
         return False
     if isinstance(jax.lax.neg(np.float32(0)), jax.core.Tracer):
         return True
