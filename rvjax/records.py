@@ -8,7 +8,7 @@ so that records can be stacked, vmapped and differentiated. So does a record of 
 import dataclasses
 import inspect
 import operator
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, TypeVar, dataclass_transform
 
 import jax
@@ -171,8 +171,10 @@ def record(cls: Class) -> Class:
     if fields:
         made.__doc__ = f"{inspect.cleandoc(cls.__doc__ or '')}\n\n{field_table(fields)}"
 
+    numbers, others = _getter(traced), _getter(static)
+
     def flatten(item: object) -> tuple[tuple[PyTree, ...], tuple[object, ...]]:
-        return tuple(getattr(item, n) for n in traced), tuple(getattr(item, n) for n in static)
+        return numbers(item), others(item)
 
     def flatten_with_keys(item: object) -> tuple[tuple[PyTree, ...], tuple[object, ...]]:
         children, aux = flatten(item)
@@ -186,6 +188,14 @@ def record(cls: Class) -> Class:
 
     jax.tree_util.register_pytree_with_keys(made, flatten_with_keys, unflatten, flatten)
     return made
+
+
+def _getter(names: tuple[str, ...]) -> Callable[[object], tuple[PyTree, ...]]:
+    """Values of these attributes of an object, read in one call: JAX flattens records at every call of a program."""
+    if not names:
+        return lambda item: ()
+    values: Any = operator.attrgetter(*names)
+    return values if names[1:] else lambda item: (values(item),)
 
 
 def signs_hold(item: Record) -> jax.Array:

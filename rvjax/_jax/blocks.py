@@ -44,7 +44,8 @@ def for_processor() -> bool:
 
 def default_platform() -> str:
     """Platform of what is on no device yet: of `jax.default_device`, else of the first device."""
-    device: Any = jax.config.values["jax_default_device"]
+    config: Any = jax.config  # its `values` would make a dict of all options
+    device = config.jax_default_device
     if device is None:
         return jax.local_devices()[0].platform
     return device if isinstance(device, str) else device.platform
@@ -56,6 +57,12 @@ def platform_of(arguments: PyTree) -> str:
         if isinstance(leaf, jax.Array) and not isinstance(leaf, jax.core.Tracer) and leaf.committed:
             return next(iter(leaf.devices())).platform
     return default_platform()
+
+
+def spread(leaf: object) -> jax.sharding.Sharding | None:
+    """Sharding of an array over several devices; None for any other leaf."""
+    sharding = getattr(leaf, "sharding", None)
+    return sharding if sharding is not None and sharding.num_devices > 1 else None
 
 
 class Size(NamedTuple):

@@ -25,7 +25,7 @@ import jaxlib.version
 import numpy as np
 
 from rvjax._ground.files import write_atomically
-from rvjax._jax.blocks import platform_of
+from rvjax._jax.blocks import platform_of, spread
 from rvjax.records import Array, PyTree, Scalar
 
 SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision", "jax_debug_nans", "jax_numpy_dtype_promotion")
@@ -86,7 +86,7 @@ def exported(
         return found
 
     shapes = [
-        jax.ShapeDtypeStruct(t.shape, t.dtype, weak_type=t.weak_type, sharding=_spread(leaf))
+        jax.ShapeDtypeStruct(t.shape, t.dtype, weak_type=t.weak_type, sharding=spread(leaf))
         for t, leaf in ((types[i], leaves[i]) for i in rest)
     ]
     if packed:
@@ -119,8 +119,12 @@ def _given(packed: tuple[int, ...], rest: tuple[int, ...], leaves: list[Scalar])
         leaf if isinstance(leaf, jax.Array) else np.asarray(leaf, jax.typeof(leaf).dtype)
         for leaf in (leaves[i] for i in rest)
     ]
-    numbers = [np.ravel(leaves[i]) for i in packed]
-    return [np.concatenate(numbers).astype(jnp.result_type(float)), *others] if numbers else others
+    if not packed:
+        return others
+    numbers: list[Scalar] = []
+    for leaf in (leaves[i] for i in packed):  # a hundred Python numbers are an array in one step
+        numbers += [leaf] if isinstance(leaf, float) else np.ravel(leaf).tolist()
+    return [np.array(numbers, jnp.result_type(float)), *others]
 
 
 def _unpacked(packed: tuple[int, ...], types: list[jax.core.ShapedArray], arrays: tuple[Array, ...]) -> list[Array]:
@@ -186,12 +190,6 @@ def _spelled(value: PyTree) -> str:
 
 def _put_together(shape: object, leaves: list[Array]) -> PyTree:
     return jax.tree.map(lambda number: leaves[number], shape)
-
-
-def _spread(leaf: object) -> jax.sharding.Sharding | None:
-    """Sharding of an array over several devices."""
-    sharding = getattr(leaf, "sharding", None)
-    return sharding if sharding is not None and sharding.num_devices > 1 else None
 
 
 def _lowered_for(platform: str) -> str:

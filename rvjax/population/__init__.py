@@ -34,6 +34,7 @@ from rvjax.population.sampling import (
     SCRAMBLES as SCRAMBLES,
     SobolPoints as SobolPoints,
     check_method as check_method,
+    first_points as first_points,
     for_design,
     sample,
 )

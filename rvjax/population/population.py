@@ -154,7 +154,7 @@ class Population(Record):
 
         Unit i depends on the key and i only, independent of the rest of the batch.
         """
-        return jax.vmap(lambda i: jax.random.normal(jax.random.fold_in(key, i), (self.numbers,)), out_axes=-1)(index)
+        return _normal(key, index, self.numbers)
 
     def deviations(self, z: jax.Array) -> dict[str, jax.Array]:
         """Errors of the active fields from z (numbers, *batch): each (*shape, *batch)."""
@@ -219,10 +219,18 @@ class Population(Record):
         return {name: piece.reshape(t.shape) for piece, (name, t) in zip(pieces, self.active.items())}
 
 
-@functools.partial(jax.jit, static_argnames="count")
-def drawn(population: Population, key: jax.Array, start: jax.Array, *, count: int) -> jax.Array:
-    """Return the z of units start .. start + count - 1 (numbers, count)."""
-    return population.draw(key, start + jnp.arange(count, dtype=jnp.uint32))
+def drawn(population: Population, key: jax.Array, start: jax.Array | np.uint32 | int, *, count: int) -> jax.Array:
+    """Return the z of units start .. start + count - 1 (numbers, count); one program for all of so many numbers."""
+    return _drawn(key, start, numbers=population.numbers, count=count)
+
+
+@functools.partial(jax.jit, static_argnames=("numbers", "count"))
+def _drawn(key: jax.Array, start: jax.Array, *, numbers: int, count: int) -> jax.Array:
+    return _normal(key, start + jnp.arange(count, dtype=jnp.uint32), numbers)
+
+
+def _normal(key: jax.Array, index: jax.Array, numbers: int) -> jax.Array:
+    return jax.vmap(lambda i: jax.random.normal(jax.random.fold_in(key, i), (numbers,)), out_axes=-1)(index)
 
 
 def root_key(seed: int) -> jax.Array:

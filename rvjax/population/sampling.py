@@ -7,6 +7,7 @@ scrambles (Owen 1995), whose spread gives standard errors.
 """
 
 import dataclasses
+import functools
 import math
 import operator
 from typing import TYPE_CHECKING
@@ -27,6 +28,14 @@ if TYPE_CHECKING:
 
 SCRAMBLES = 16
 _BITS = 32  # SciPy cannot fast-forward more of them
+
+
+@functools.lru_cache(maxsize=8)
+def first_points(numbers: int, seed: int, count: int) -> np.ndarray:
+    """`SobolPoints.z` of the first units, which every sample of a search begins with; not to be written to."""
+    z = SobolPoints(numbers, seed).z(0, count)
+    z.flags.writeable = False
+    return z
 
 
 class SobolPoints:

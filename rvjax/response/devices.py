@@ -73,7 +73,8 @@ class Evaluator:
 
     def _z(self, first: int) -> jax.Array:
         if self._points is not None:
-            return on(self._mesh, jnp.asarray(self._points.z(first, self._count), jnp.result_type(float)))
+            points: Any = np.asarray(self._points.z(first, self._count), jnp.result_type(float))
+            return on(self._mesh, points)
         turn, first = divmod(first, TURN)
         z = self._drawn(turn, first)
         if (rest := TURN - first) < self._count:  # numbers of 32 bits begin again within the chunk
@@ -83,8 +84,8 @@ class Evaluator:
     def _drawn(self, turn: int, first: int) -> jax.Array:
         key = key_of(self._key, turn)
         if self._mesh is None:
-            return drawn(self._population, key, jnp.uint32(first), count=self._count)
-        return _drawn_on(self._mesh, self._count, self._population, key, jnp.uint32(first))
+            return drawn(self._population, key, np.uint32(first), count=self._count)
+        return _drawn_on(self._mesh, self._count, self._population, key, np.uint32(first))
 
 
 @jax.jit

@@ -2,12 +2,14 @@
 
 import functools
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.blocks import calls
+from rvjax._jax.blocks import PULLED, calls
 from rvjax.population import Population
 from rvjax.response.devices import NUMBERS, UNITS, mesh_of, on, shared_out
 from rvjax.response.response import Response, evaluate, is_costly, per_response, response_names
@@ -88,7 +90,7 @@ def gradients(
         return values[rows][:, units], pulls(response, population, errors, state[:, units], weights)
     found, dtype = [], jnp.result_type(float)
     for lanes in calls(errors.shape[1], sloped_together()):
-        arrays = (jnp.asarray(rows[:, lanes], dtype) for rows in (errors, cotangents))
+        arrays: Any = (np.asarray(rows[:, lanes], dtype) for rows in (errors, cotangents))
         found.append(_on_all_devices(response, population, *arrays, names=names))
     parts = zip(*((value, slope) for value, _, slope in found))
     values, slopes = (np.concatenate([np.asarray(row, float) for row in part], axis=1) for part in parts)
@@ -123,12 +125,29 @@ def elements(population: Population, z: jax.Array) -> jax.Array:
     return _rows(population.deviations(z), z)
 
 
-@jax.jit
 def elements_and_rates(
+    population: Population, half_widths: Mapping[str, float], z: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same with other half-widths, and their derivatives to that of their field; 0 for fields without one.
+
+    Any number of units by the one program.
+
+    Args:
+        population: of the units.
+        half_widths: by name of the field.
+        z: (numbers, n) of the units.
+    """
+    given = {name: np.asarray(t, jnp.result_type(float)) for name, t in half_widths.items()}
+    rows = np.asarray(z, jnp.result_type(float))
+    found = [_elements_and_rates(population, given, rows[:, lanes]) for lanes in calls(z.shape[1], PULLED)]
+    errors, rates = (np.concatenate([np.asarray(row, float) for row in part], axis=1) for part in zip(*found))
+    return errors[:, : z.shape[1]], rates[:, : z.shape[1]]
+
+
+@jax.jit
+def _elements_and_rates(
     population: Population, half_widths: dict[str, jax.Array], z: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """The same with these half-widths, and their derivatives to the half-width of their field; 0 for others."""
-
     def errors(t: dict[str, jax.Array]) -> jax.Array:
         return _rows(population.with_half_widths(t).deviations(z), z)
 

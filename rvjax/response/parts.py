@@ -90,7 +90,7 @@ class Part:
 
 
 def _drawn(population: Population, z: np.ndarray) -> Errors:
-    return lambda lanes: elements(population, jnp.asarray(z[:, lanes]))
+    return lambda lanes: elements(population, z[:, lanes])
 
 
 def parts(response: Response, population: Population) -> list[Part]:

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._ground.choices import UnknownWord, meant
-from rvjax._jax.blocks import BLOCK as BLOCK, CPU, platform_of
+from rvjax._jax.blocks import BLOCK as BLOCK, CPU, platform_of, spread
 from rvjax._jax.callbacks import called_back
 from rvjax._jax.compile_cache import Options, inside, kept_folder, understood
 from rvjax.population import Given, Population, drawn
@@ -61,7 +61,7 @@ def _type_of(leaf: Any) -> object:
     """Type of a leaf of the arguments, by which a program is found."""
     if type(leaf) in (float, int, bool):
         return type(leaf)
-    return jax.typeof(leaf), getattr(leaf, "sharding", None)
+    return jax.typeof(leaf), spread(leaf)
 
 
 class Compiled(Generic[R]):
@@ -98,10 +98,11 @@ class Compiled(Generic[R]):
 
     def __call__(self, response: Function, *arguments: PyTree, **static: object) -> R:
         """The function's value."""
-        if inside(response, arguments):
+        leaves = jax.tree.leaves((response, arguments))
+        if inside(leaves):
             jitted, first = self._program(response)
             return jitted(*first, *arguments, **static)
-        options = self._chosen(response, arguments)
+        options = self._chosen(response, leaves)
         if isinstance(response, Record) and (folder := kept_folder()) is not None:
             return self._kept(folder, options, (response, *arguments), static)
         jitted, first = self._program(response, options)
@@ -130,6 +131,13 @@ class Compiled(Generic[R]):
         if program.begun is None:
             program.begun = self._threads.submit(lambda: jax.block_until_ready(kept.call(*kept.given(leaves))))
         return kept.put_together(jax.eval_shape(kept.call, *kept.given(leaves)))
+
+    def shapes(self, response: Function, *arguments: PyTree, **static: object) -> R:
+        """Shapes of the function's value; traced once for arguments of the same types."""
+        program, first = self._program(response)
+        jitted: Any = program
+        found: R = jitted.eval_shape(*first, *arguments, **static)
+        return found
 
     def _chosen(self, response: Function, arguments: PyTree) -> Options:
         """Options of the program; they are those of a processor."""
@@ -280,13 +288,13 @@ def respond_units(
 
     Sampling is a separate program, so that the response is compiled once for each number of units.
     """
-    return respond(response, population, drawn(population, key, jnp.uint32(start), count=count))
+    return respond(response, population, drawn(population, key, np.uint32(start), count=count))
 
 
 def numbers_of(population: Population, key: jax.Array, units: np.ndarray) -> np.ndarray:
     """Random numbers (numbers, n) of any units, by the program that draws `BLOCK` of them."""
     blocks, place = np.unique(np.asarray(units) // BLOCK, return_inverse=True)
-    rows = [np.asarray(drawn(population, key, jnp.uint32(BLOCK * block), count=BLOCK)) for block in blocks]
+    rows = [np.asarray(drawn(population, key, np.uint32(BLOCK * block), count=BLOCK)) for block in blocks]
     return np.stack(rows, axis=1)[:, place, np.asarray(units) % BLOCK]
 
 
@@ -298,4 +306,4 @@ def response_names(response: Response, population: Population) -> tuple[str, ...
     if isinstance(response, Record) and hasattr(response, "outputs"):
         return tuple(sorted(response.outputs))  # as JAX sorts the keys of a dict
     z = jax.ShapeDtypeStruct((population.numbers, BLOCK), jnp.result_type(float))
-    return tuple(jax.eval_shape(functools.partial(respond, response), population, z)[0])
+    return tuple(respond.shapes(response, population, z)[0])

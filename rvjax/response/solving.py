@@ -86,7 +86,8 @@ def pulls(
     size, dtype, found = sloped_together(), jnp.result_type(float), []
     mesh = mesh_of(size)
     for lanes in calls(errors.shape[1], size):
-        rows = [on(mesh, jnp.asarray(each[:, lanes], dtype)) for each in (errors, state, cotangents)]
+        given: Any = [np.asarray(each[:, lanes], dtype) for each in (errors, state, cotangents)]
+        rows = [on(mesh, each) for each in given]
         if mesh is None:
             found.append(_pulled(response, population, *rows))
         else:

@@ -14,7 +14,6 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.blocks import AT_ONCE, PULLED, calls
@@ -111,7 +110,7 @@ def influences(
 def _errors(population: Population, z: np.ndarray) -> np.ndarray:
     """Errors (elements, n) of units with random numbers z (numbers, n), by the program for the gradients' units."""
     lanes = calls(z.shape[1], PULLED)
-    found = [np.asarray(elements(population, jnp.asarray(z[:, some])), float) for some in lanes]
+    found = [np.asarray(elements(population, z[:, some]), float) for some in lanes]
     return np.concatenate(found, axis=1)[:, : z.shape[1]]
 
 
@@ -130,7 +129,7 @@ class _Solver(NamedTuple):
         else:
             found = []
             for lanes in calls(count, self.chunk):
-                own, codes = respond(self.part.response, self.population, jnp.asarray(z[:, lanes]))
+                own, codes = respond(self.part.response, self.population, z[:, lanes])
                 found.append((np.stack([np.asarray(own[name], float) for name in self.part.names]), np.asarray(codes)))
             values, status = (np.concatenate(rows, axis=-1)[..., :count] for rows in zip(*found))
             state = np.zeros((0, count))

@@ -326,7 +326,7 @@ def _derivatives(
 
     Then the deviations of these units (n, units) and their values (k, units).
     """
-    z = np.asarray(drawn(population, root_key(0), jnp.uint32(0), count=BLOCK))[:, :PULLED]  # shapes that are compiled
+    z = np.asarray(drawn(population, root_key(0), np.uint32(0), count=BLOCK))[:, :PULLED]  # shapes that are compiled
     units = np.asarray(elements(population, z))[:, :_PROBES]
     away = units - mean[:, None]
     points = np.concatenate([mean[:, None], mean[:, None] + _STEP * away, units], axis=1)

@@ -149,7 +149,7 @@ def _evaluated(
     response: Response, population: Population, z: np.ndarray, count: int
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Values and validity of the first `count` units."""
-    values, status = respond(response, population, jnp.asarray(z, jnp.result_type(float)))
+    values, status = respond(response, population, np.asarray(z, jnp.result_type(float)))
     found = {n: np.asarray(v, float)[:count] for n, v in values.items()}
     finite = np.all([np.isfinite(row) for row in found.values()], axis=0)  # no variance counts an infinite value
     return found, succeeded(np.asarray(status))[:count] & finite

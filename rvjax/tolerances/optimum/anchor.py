@@ -145,7 +145,7 @@ def _mean(slopes: np.ndarray) -> np.ndarray:
 
 def _numbers(population: Population, z: np.ndarray) -> np.ndarray:
     """Errors of units, and their numbers of the design, in the order of their names (elements and numbers, n)."""
-    errors = np.asarray(elements(population, jnp.asarray(z, jnp.result_type(float))), float)
+    errors = np.asarray(elements(population, np.asarray(z, jnp.result_type(float))), float)
     return np.concatenate([errors, _free(population, z.shape[1])])
 
 

@@ -75,7 +75,7 @@ class _Model:
     """The separable model, in logarithms of half-widths and parts of the total cost."""
 
     def __init__(self, costs: tuple[Any, ...], start: np.ndarray, *limits: np.ndarray) -> None:
-        self.total = float(total_cost(costs, jnp.asarray(np.exp(start))))
+        self.total = float(total_cost(costs, np.exp(start)))
         self._count = len(limits[-1])
         leaves, self._tree = jax.tree.flatten((costs, self.total, start, *limits))
         self._given = jax.device_put(leaves)  # flat: records of costs take as long to flatten as all the rest of a call

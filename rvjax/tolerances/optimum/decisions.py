@@ -143,7 +143,7 @@ class Decisions:
         """Cost of the half-widths."""
         if not self.fields:
             return 0.0
-        return float(total_cost(tuple(self.priced.values()), jnp.asarray(self.half_widths(x))))
+        return float(total_cost(tuple(self.priced.values()), self.half_widths(x)))
 
     def cost_slopes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives (n,) of the cost, and its curvatures (n,)."""

@@ -14,7 +14,6 @@ Where one half-width of rv-40e-whole grows by a tenth, it leaves 0.1 to 2 % of t
 import hashlib
 from collections.abc import Callable
 
-import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.blocks import PULLED, padded
@@ -62,7 +61,7 @@ class Followed:
         self._random = np.random.default_rng(seed)
         self._states: list[tuple[np.ndarray, dict[int, np.ndarray]]] = [(np.empty((0, 2)), {}) for _ in self.parts]
         key, block = root_key(seed), min(samples, BLOCK)
-        blocks = [np.asarray(drawn(population, key, jnp.uint32(i), count=block)) for i in range(0, samples, block)]
+        blocks = [np.asarray(drawn(population, key, np.uint32(i), count=block)) for i in range(0, samples, block)]
         self.z = np.concatenate(blocks, axis=1)[:, :samples]
 
     @property
@@ -215,7 +214,7 @@ class Followed:
         for name, (units, slopes) in self._slopes.items():
             lanes = padded(units, PULLED).reshape(-1, PULLED)  # one program
             here, there = (
-                np.concatenate([np.asarray(elements(p, jnp.asarray(self.z[:, row]))) for row in lanes], axis=1)
+                np.concatenate([np.asarray(elements(p, self.z[:, row])) for row in lanes], axis=1)
                 for p in (before, after)
             )
             found[name] = units, np.einsum("en,en->n", slopes, (there - here)[:, : len(units)])

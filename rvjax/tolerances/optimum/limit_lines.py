@@ -48,10 +48,9 @@ class LimitLines:
 
         def measure(z: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             count = z.shape[1]
+            errors, rates = self._units.errors_and_rates(x, population, z)
             units = padded(np.arange(count), max(count, _LINES))
-            both = self._units.errors_and_rates(x, population, z[:, units])
-            errors, rates = (rows[:, :count] for rows in both)
-            lanes = (jnp.asarray(rows[:, units], jnp.result_type(float)) for rows in (z, along))
+            lanes = (np.asarray(rows[:, units], jnp.result_type(float)) for rows in (z, along))
             moves = np.asarray(_moves(population, *lanes), float)[:, :count]
             if len(self._reads) == 1:
                 values, slopes = self._units.pulled(population, errors, {self._reads[0]: np.ones(count)})

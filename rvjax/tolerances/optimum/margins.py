@@ -14,7 +14,7 @@ import numpy as np
 from scipy import special
 
 from rvjax._jax.blocks import PULLED
-from rvjax.population import Population, SobolPoints
+from rvjax.population import Population, first_points
 from rvjax.response import Response, response_names
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.loss import QuadraticLoss
@@ -102,7 +102,7 @@ class Margins:
         """True: both limits of a response have units, though one decides, because numbers may move the response."""
         self.lines: dict[int, LimitLines] = {}
         self.losses = MeanLoss(response, decisions, losses or {}, lossy, seed, memo)
-        self.plain = SobolPoints(numbers, seed).z(0, samples) if self._plain else np.zeros((numbers, 0))
+        self.plain = first_points(numbers, seed, samples) if self._plain else np.zeros((numbers, 0))
 
     @property
     def evaluated(self) -> int:

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from rvjax.population import SobolPoints
+from rvjax.population import first_points
 from rvjax.response import Response
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.loss import QuadraticLoss
@@ -32,7 +32,7 @@ class MeanLoss:
         self._losses, self._decisions = dict(losses), decisions
         self._units = AnchoredUnits(response, decisions, set(losses), memo)
         numbers = decisions.base.numbers
-        self._z = SobolPoints(numbers, seed).z(0, samples) if losses else np.zeros((numbers, 0))
+        self._z = first_points(numbers, seed, samples) if losses else np.zeros((numbers, 0))
         self._anchors: dict[bytes, Anchor | None] = {}
 
     @property

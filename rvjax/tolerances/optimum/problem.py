@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Callable, Mapping
 
-import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.blocks import PULLED
@@ -81,7 +80,7 @@ class Problem:
         """Cost of the given tolerances, mid-points and numbers, with the objective."""
         given = decisions.vector(self.given, {name: item.first for name, item in self.variables.items()})
         outputs, _ = NominalOutputs(self.response, tuple(sorted(self.objective))).at(decisions.population(given))
-        widths = float(total_cost(tuple(self.priced.values()), jnp.asarray(self.given))) if self.priced else 0.0
+        widths = float(total_cost(tuple(self.priced.values()), np.asarray(self.given))) if self.priced else 0.0
         rest = decisions.cost(given) - decisions.widths_cost(given)
         return widths + rest + sum(price * outputs[name] for name, price in self.objective.items())
 

@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from typing import Any, Self
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
@@ -91,7 +90,8 @@ class Training:
             self.lanes = min(samples, max(_FEWEST_LANES, _LANES_OF_A_FIELD * len(fields)))
         else:
             key, block = root_key(seed), min(samples, BLOCK)
-            self.blocks = [drawn(population, key, jnp.uint32(start), count=block) for start in range(0, samples, block)]
+            self.blocks = [drawn(population, key, np.uint32(start), count=block) for start in range(0, samples, block)]
+            self.z = np.concatenate([np.asarray(z) for z in self.blocks], axis=1)
         self._measure()
 
     def _measure(self) -> None:
@@ -355,11 +355,9 @@ class Training:
         if self.followed is not None:
             z, parts = self.followed.z, [part.names for part in self.followed.parts]
         else:
-            z, parts = np.concatenate([np.asarray(b) for b in self.blocks], axis=1), [self.names]
-        given = dict(zip(self.fields, jnp.asarray(half_widths, z.dtype)))
-        units = padded(pull.units, PULLED)  # one program, however many there are
-        both = (np.asarray(rows) for rows in elements_and_rates(self.population, given, z[:, units]))
-        errors, rates = (rows[:, : len(pull.units)] for rows in both)
+            z, parts = self.z, [self.names]
+        given = dict(zip(self.fields, half_widths))
+        errors, rates = elements_and_rates(self.population, given, z[:, pull.units])
         required = np.array(list(self.requirements))[of[pull.units]]
         self.evaluated[0] += len(pull.units)
         slopes = np.empty(errors.shape)
@@ -386,7 +384,7 @@ class Training:
         if len(self.fields) < MANY:
             total = self._by_field(of_units.sum(axis=1))
         else:
-            widely = np.asarray(elements_and_rates(self.population, given, z[:, : units.size])[1])
+            widely = elements_and_rates(self.population, given, z[:, : padded(pull.units, PULLED).size])[1]
             model = half_widths * self._by_field((slopes[:, used] @ pull.cotangents[used]) ** 2 * widely.var(axis=1))
             total = total_of_many(np.stack([self._by_field(row) for row in of_units.T]), model)
         return total / norm * half_widths if norm > 0 else np.zeros(len(self.fields))

@@ -108,7 +108,7 @@ class Search:
 
     def cost(self, half_widths: np.ndarray) -> float:
         """Total cost."""
-        return float(total_cost(self.costs, jnp.asarray(half_widths)))
+        return float(total_cost(self.costs, half_widths))
 
     def look(self, half_widths: np.ndarray) -> Point:
         """Evaluate the sample and note it."""

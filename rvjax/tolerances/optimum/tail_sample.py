@@ -26,7 +26,8 @@ PLAIN_SHARE = 0.25
 _ALIKE = 0.9  # cosine of two directions that one centre serves
 _CENTRES = 8  # of one requirement, at most
 _MIRRORED, _OPPOSITE = 1.6, 0.25  # times as far, an opposite limit may matter; its share of the units
-_WIDTHS = 3.5  # beyond which a unit has no effect on a smooth quantile
+_WIDTHS = 3.5  # beyond which a unit has no effect on the slope of a smooth quantile
+_ROUNDED = 9.0  # beyond which its share is 0 or 1 to the last bit of a sum
 
 
 @dataclasses.dataclass(frozen=True)
@@ -156,7 +157,10 @@ def smooth_quantile(margins: np.ndarray, weights: np.ndarray, rejects: float, wi
     at = own[order[min(int(np.searchsorted(beyond, rejects)), len(own) - 1)]]
 
     def excess(level: float) -> float:
-        return failed + float(mass @ special.ndtr((own - level) / width)) - rejects
+        away = (own - level) / width
+        shares, near = (away > 0).astype(float), np.flatnonzero(np.abs(away) < _ROUNDED)
+        shares[near] = special.ndtr(away[near])
+        return failed + float(mass @ shares) - rejects
 
     low, high = at - width, at + width
     while excess(low) < 0:

@@ -60,7 +60,7 @@ class Units:
             if self._costly:
                 values, status = part.solve(population, z)
             else:
-                blocks = [jnp.asarray(z[:, units], jnp.result_type(float)) for units in calls(z.shape[1], BLOCK)]
+                blocks = [np.asarray(z[:, units], jnp.result_type(float)) for units in calls(z.shape[1], BLOCK)]
                 found = [respond(part.response, population, block) for block in blocks]
                 rows = [np.stack([np.asarray(values[name], float) for name in part.names]) for values, _ in found]
                 values = np.concatenate(rows, axis=1)[:, : z.shape[1]]
@@ -162,10 +162,7 @@ class Units:
         several: list[slice],
     ) -> list[np.ndarray]:
         """Derivatives as `slope`, of several parts of the units."""
-        count = z.shape[1]
-        lanes = padded(np.arange(count), PULLED * max(len(several), -(-count // PULLED)))
-        both = self.errors_and_rates(x, population, z[:, lanes])
-        errors, rates = (rows[:, :count] for rows in both)
+        errors, rates = self.errors_and_rates(x, population, z)
         slopes = self._gradients(population, errors, pulled, units)
         return [self.to_vector(x, population, slopes[:, part], rates[:, part]) for part in several]
 
@@ -197,16 +194,14 @@ class Units:
             population: with these decisions.
             z: (numbers, n) of the units.
         """
-        given = dict(zip(self._decisions.fields, jnp.asarray(self._decisions.half_widths(x))))
-        both = elements_and_rates(population, given, jnp.asarray(z, jnp.result_type(float)))
-        return np.asarray(both[0], float), np.asarray(both[1], float)
+        return elements_and_rates(population, dict(zip(self._decisions.fields, self._decisions.half_widths(x))), z)
 
     def slopes_to_z(self, population: Population, z: np.ndarray, pulled: dict[str, np.ndarray]) -> np.ndarray:
         """Gradients (numbers, n) of responses of units to their z."""
-        lanes = jnp.asarray(padded(z, PULLED, axis=1), jnp.result_type(float))
+        lanes = np.asarray(padded(z, PULLED, axis=1), jnp.result_type(float))
         errors = np.asarray(elements(population, lanes), float)[:, : z.shape[1]]
         slopes = self._gradients(population, errors, pulled)[: len(errors)]
-        return np.asarray(_to_z(population, lanes, jnp.asarray(padded(slopes, PULLED, axis=1))), float)[:, : z.shape[1]]
+        return np.asarray(_to_z(population, lanes, padded(slopes, PULLED, axis=1)), float)[:, : z.shape[1]]
 
 
 def _rows(population: Population, z: jax.Array) -> jax.Array:
