@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Drawn, SubFigure
 
+DPI = 150
 _threads = ThreadPoolExecutor(1, "draw")
 _style = threading.Lock()  # Matplotlib has one style for all threads
 
@@ -74,11 +75,18 @@ def saved(figure: "Drawn | SubFigure", form: str = "png") -> bytes:
         form: "png" or "svg".
     """
     import matplotlib.pyplot as plt
+    from matplotlib.backend_bases import get_registered_canvas_class
     from matplotlib.figure import Figure as Drawn
 
     assert isinstance(figure, Drawn)  # the types of Matplotlib allow a part of a figure
-    file = io.BytesIO()
+    file, layout, canvas = io.BytesIO(), figure.get_layout_engine(), get_registered_canvas_class(form)
     with plt.rc_context({"svg.hashsalt": "rvjax"}):
-        figure.savefig(file, format=form, dpi=150, metadata={"Date": None} if form == "svg" else None)
+        if layout is not None and canvas is not None:
+            # `savefig` would draw the figure twice: unseen for its layout, and into the file.
+            figure.set_dpi(DPI)
+            figure.set_canvas(canvas(figure))
+            layout.execute(figure)
+            figure.set_layout_engine("none")
+        figure.savefig(file, format=form, dpi=DPI, metadata={"Date": None} if form == "svg" else None)
     plt.close(figure)
     return file.getvalue()
