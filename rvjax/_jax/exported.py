@@ -119,8 +119,8 @@ class _Binary(jax.export.Exported):
 def _small(program: jax.export.Exported) -> jax.export.Exported:
     """A program as bytecode of this version of JAX, without lines of its source."""
     with mlir.make_ir_context():
-        module, file = ir.Module.parse(program.mlir_module()), io.BytesIO()
-        passmanager.PassManager.parse("builtin.module(strip-debuginfo)").run(module.operation)
+        module, file = ir.Module.parse(program.mlir_module()), io.BytesIO()  # type: ignore[attr-defined]
+        passmanager.PassManager.parse("builtin.module(strip-debuginfo)").run(module.operation)  # type: ignore[attr-defined]
         module.operation.write_bytecode(file=file)
     return dataclasses.replace(program, mlir_module_serialized=file.getvalue())
 

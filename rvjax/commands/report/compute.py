@@ -1,5 +1,6 @@
 """Content of a page beyond the result: the surrogate behind the sliders, error budget, bearing lives, friction."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from rvjax._ground import progress
@@ -14,8 +15,10 @@ from rvjax.commands.report.losses import begin_losses, losses_if_any
 from rvjax.commands.report.reducer import design_section
 from rvjax.commands.speak import READING, tell, units_placed
 from rvjax.population import Population
+from rvjax.records import PyTree
 from rvjax.render import Content, Figure, Report, Section
 from rvjax.response import begin_programs, is_costly, parts
+from rvjax.study import Study
 
 SLIDERS, WRITING = "numbers behind the sliders", "the page"
 
@@ -76,17 +79,24 @@ def _shown(inputs: Inputs) -> Shown:
             begin_programs(part.response, population, slopes=True)
     design, drawn = design_section(found.study), tuple(figures(found))
     _begin((design, *drawn))
-    lives = lives_if_any(inputs.study, found.allocation.tolerances)
-    bearings = bearing_section(lives, inputs.study) if lives else None
-    losses = losses_if_any(inputs.study, found.allocation.tolerances)
-    friction = friction_section(losses, inputs.study) if losses else None
-    _begin(tuple(section for section in (bearings, friction) if section))
-    budget = budget_if_any(inputs.study, found.allocation.tolerances)
-    budgeted = section_on(budget) if budget else None
-    _begin((budgeted,) if budgeted else ())
-    moved = behind.surrogate(found)
+    with ThreadPoolExecutor(1) as other:  # each works on the host while the devices solve units of the other
+        sections = other.submit(_sections, inputs.study, found.allocation.tolerances)
+        moved = behind.surrogate(found)
+        bearings, friction, budget = sections.result()
     progress.begin(WRITING)
-    return Shown(found, moved, budgeted, bearings, friction, design, drawn)
+    return Shown(found, moved, budget, bearings, friction, design, drawn)
+
+
+def _sections(study: Study, tolerances: PyTree) -> tuple[Section | None, ...]:
+    """Sections on bearing lives, friction and the error budget, with their figures begun."""
+    lives = lives_if_any(study, tolerances)
+    bearings = bearing_section(lives, study) if lives else None
+    losses = losses_if_any(study, tolerances)
+    friction = friction_section(losses, study) if losses else None
+    budget = budget_if_any(study, tolerances)
+    found = bearings, friction, section_on(budget) if budget else None
+    _begin(tuple(filter(None, found)))
+    return found
 
 
 def _begin(content: tuple[Content, ...]) -> None:
