@@ -6,7 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rvjax.render.quantity import micro
 
@@ -82,8 +82,8 @@ def saved(figure: "Drawn | SubFigure", form: str = FORM) -> bytes:
 
     assert isinstance(figure, Drawn)  # the types of Matplotlib allow a part of a figure
     file, layout, canvas = io.BytesIO(), figure.get_layout_engine(), get_registered_canvas_class(form)
-    no_layout = {"figure.autolayout": False, "figure.constrained_layout.use": False}
-    with plt.rc_context({"svg.hashsalt": "rvjax"} | no_layout):
+    options: Any = {"svg.hashsalt": "rvjax", "figure.autolayout": False, "figure.constrained_layout.use": False}
+    with plt.rc_context(options):
         if layout is not None and canvas is not None:
             # `savefig` would draw the figure twice: unseen for its layout, and into the file.
             figure.set_dpi(DPI)

@@ -174,7 +174,7 @@ def answer(
         _side(study, response, study.tolerances, before, curves, {}),
         _side(study, response, allocation.tolerances, certificate, curves, found),
     ]
-    found_so_far = Answer(study, allocation, before, *sides, cost_curve=[])
+    found_so_far = Answer(study, allocation, before, sides[0], sides[1], cost_curve=[])
     if sampled is not None:
         sampled(found_so_far)
     begin(PRICING)
