@@ -93,6 +93,12 @@ def test_cost_against_yield_shows_the_study_between_its_neighbours():
     assert axes.lines[2].get_xdata()[0] > 0  # a yield of 1 stands at the edge, not at infinity
 
 
+def test_cost_against_yield_of_a_narrow_range_has_several_labels():
+    axes = plotting.cost_against_yield([0.985, 0.992, 0.994], [1.0, 2.0, 3.0], chosen=(0.992, 2.0), start=(0.97, 1.0))
+    labels = [text.get_text() for text in axes.get_xticklabels()]
+    assert labels == ["99", "99.5"] and axes.get_xticks() == pytest.approx([1e-2, 5e-3])
+
+
 def test_cost_against_yield_without_rejects_has_a_logarithmic_axis(recwarn):
     """No unit fails: Matplotlib would warn that nothing is positive."""
     axes = plotting.cost_against_yield([1.0], [1.0], chosen=(1.0, 1.0), start=(1.0, 2.0))

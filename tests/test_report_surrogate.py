@@ -11,7 +11,7 @@ from live_study import FEW
 import rvjax
 from rvjax import tolerances
 from rvjax.commands.allocate.forecast import SHOWN_VALUES
-from rvjax.commands.report import region, surrogate
+from rvjax.commands.report import live, region, surrogate
 from rvjax.response import solving
 from rvjax.response.response import BLOCK
 
@@ -212,3 +212,18 @@ def test_a_failed_unit_does_not_change_the_regression_of_the_others():
     found = region._corrected(base, rise, places, changes)
     np.testing.assert_allclose(found[0, 0], 0.3, atol=2e-3)
     np.testing.assert_allclose(found[1,], rise[1], atol=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("mean", "sd", "said"),
+    [
+        (0.012, 0.0, "mean 1.2 % of a standard deviation, standard deviation 0 %"),
+        (1.234, 3e-5, "mean 120 % of a standard deviation, standard deviation below 0.01 %; the estimate is poor"),
+        (np.nan, 0.3, "mean an unknown part of a standard deviation, standard deviation 30 %; the estimate is poor"),
+    ],
+)
+def test_the_error_of_the_sliders_is_said_in_plain_numbers(mean, sd, said):
+    figures = {"yield": (0.9, 0.9), "mean": (mean, 0.0), "sd": (1 + sd, 1.0)}
+    check = surrogate.Check("a point", {"y": figures})
+    found = surrogate.Surrogate((), np.ones(1), {}, {}, 0.0, checks=(check,))
+    assert live.error_text(found).startswith(f"largest errors at 1 points: yield 0 % of the units, {said}")

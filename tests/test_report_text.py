@@ -4,6 +4,7 @@ Oracle: the same numbers converted by hand.
 """
 
 import dataclasses
+import io
 import math
 import threading
 from types import SimpleNamespace
@@ -12,6 +13,7 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 
 from rvjax import Status
 from rvjax.commands import allocate
@@ -21,7 +23,7 @@ from rvjax.commands.montecarlo import report_on
 from rvjax.commands.report.worst_units import against_limit
 from rvjax.outputs import Output
 from rvjax.population.estimates import Estimate
-from rvjax.render import Figure
+from rvjax.render import Figure, saved
 from rvjax.study import load
 from rvjax.study.study import About
 from rvjax.tolerances import Outcome, QuadraticLoss, Requirement, WorstCaseWithin, expected_losses, monte_carlo
@@ -146,6 +148,26 @@ def test_a_figure_that_is_begun_is_drawn_once_in_another_thread():
         wrong.content("svg")
     assert threads.count(threading.current_thread()) == 1 and len(threads) == 3
     assert figure.content("png").startswith(b"\x89PNG") and threads[-1] is threading.current_thread()
+
+
+@pytest.mark.parametrize("form", ["png", "svg"])
+def test_a_plot_with_a_layout_is_drawn_once_and_has_the_bytes_of_savefig(form, monkeypatch):
+    """`savefig` draws such a figure twice, unseen for its layout."""
+    drawn, draw = [], Axes.draw
+
+    def made():
+        axes = plt.subplots(layout="constrained")[1]
+        axes.plot([0, 1], [0, 1e-3], label="a line")
+        axes.set(xlabel="x (um)", ylabel="y\nin two lines", title="a title")
+        axes.legend()
+        return axes.figure
+
+    file = io.BytesIO()
+    with plt.rc_context({"svg.hashsalt": "rvjax"}):
+        made().savefig(file, format=form, dpi=150, metadata={"Date": None} if form == "svg" else None)
+    monkeypatch.setattr(Axes, "draw", lambda self, renderer: drawn.append(self) or draw(self, renderer))
+    assert saved(made(), form) == file.getvalue() and len(drawn) == 1
+    plt.close("all")
 
 
 def test_a_yield_has_both_ends_of_its_interval():

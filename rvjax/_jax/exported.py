@@ -11,6 +11,7 @@ import contextlib
 import dataclasses
 import functools
 import hashlib
+import io
 import math
 import pickle
 import sys
@@ -23,6 +24,8 @@ import jax.export
 import jax.numpy as jnp
 import jaxlib.version
 import numpy as np
+from jax.extend.mlir import ir, passmanager
+from jax.interpreters import mlir
 
 from rvjax._ground.files import write_atomically
 from rvjax._jax.blocks import platform_of, spread
@@ -74,7 +77,7 @@ def exported(
     try:
         shape, blob = pickle.loads(path.read_bytes())
         _linear_algebra()
-        return Kept(jax.export.deserialize(blob).call, given, functools.partial(_put_together, shape))
+        return Kept(_Binary.of(jax.export.deserialize(blob)).call, given, functools.partial(_put_together, shape))
     except FileNotFoundError:
         pass
     except Exception:  # a file with any defect is written again
@@ -92,12 +95,34 @@ def exported(
     if packed:
         count = sum(math.prod(types[i].shape) for i in packed)
         shapes.insert(0, jax.ShapeDtypeStruct((count,), jnp.result_type(float)))
-    program = jax.export.export(jax.jit(flat), platforms=[_lowered_for(platform)])(*shapes)
+    program = _Binary.of(_small(jax.export.export(jax.jit(flat), platforms=[_lowered_for(platform)])(*shapes)))
     results: Any = flat.tree  # type: ignore[attr-defined]
     shape = jax.tree.unflatten(results, range(results.num_leaves))
     with contextlib.suppress(OSError):  # a full disk: traced again next time
         write_atomically(path, pickle.dumps((shape, program.serialize())))
     return Kept(program.call, given, functools.partial(_put_together, shape))
+
+
+class _Binary(jax.export.Exported):
+    """A traced program that JAX reads as it is: printed as text and read again, it takes three times as long."""
+
+    @classmethod
+    def of(cls, program: jax.export.Exported) -> "_Binary":
+        """The program of `_small`, or one written by it."""
+        return cls(**{f.name: getattr(program, f.name) for f in dataclasses.fields(program)})
+
+    def mlir_module(self) -> Any:
+        """Bytecode of the module."""
+        return self.mlir_module_serialized
+
+
+def _small(program: jax.export.Exported) -> jax.export.Exported:
+    """A program as bytecode of this version of JAX, without lines of its source."""
+    with mlir.make_ir_context():
+        module, file = ir.Module.parse(program.mlir_module()), io.BytesIO()  # type: ignore[attr-defined]
+        passmanager.PassManager.parse("builtin.module(strip-debuginfo)").run(module.operation)  # type: ignore[attr-defined]
+        module.operation.write_bytecode(file=file)
+    return dataclasses.replace(program, mlir_module_serialized=file.getvalue())
 
 
 def _packed(leaves: list[Scalar], types: list[jax.core.ShapedArray]) -> tuple[int, ...]:

@@ -185,7 +185,12 @@ def cost_against_yield(
     axes.plot(rejected_before, start[1], "s", ms=8, color=BEFORE, label="before", zorder=3)
     axes.set_xscale("log")
     axes.invert_xaxis()
-    ticks = [10.0**-k for k in range(1, 7) if floor <= 10.0**-k <= 1.05 * max(*rejects, rejected)]
+    ticks: list[float] = []
+    for steps in ((1,), (1, 2, 5), range(1, 10)):  # finer where decades label less than two places
+        ends = floor, 1.05 * max(*rejects, rejected)
+        ticks = [t for k in range(1, 7) for step in steps if ends[0] <= (t := step * 10.0**-k) <= ends[1]]
+        if len(ticks) > 1:
+            break
     axes.set_xticks(ticks, [f"{100 * (1 - t):.6g}" for t in ticks])
     axes.set_xticks([], minor=True)
     axes.set(xlabel="yield of each requirement (%)", ylabel="cost", title="Cost against yield")

@@ -1,7 +1,7 @@
 """Reports of commands: tables whose cells are numbers in SI, and the text, CSV, JSON and HTML that follow from them."""
 
 from rvjax.render.content import Block as Block, Content as Content, Note as Note, Section as Section
-from rvjax.render.figure import Figure as Figure, saved as saved
+from rvjax.render.figure import FORM as FORM, Figure as Figure, saved as saved
 from rvjax.render.folders import (
     new_folder as new_folder,
     numbered_folders as numbered_folders,

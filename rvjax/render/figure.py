@@ -6,7 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rvjax.render.quantity import micro
 
@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Drawn, SubFigure
 
+DPI = 150
+FORM = "png"
+"""Of the files of a folder; a page has "svg"."""
 _threads = ThreadPoolExecutor(1, "draw")
 _style = threading.Lock()  # Matplotlib has one style for all threads
 
@@ -44,7 +47,7 @@ class Figure:
         """
         self._begun[form] = _threads.submit(self._rendered, form)
 
-    def content(self, form: str = "png") -> bytes:
+    def content(self, form: str = FORM) -> bytes:
         """The content of its file, in the one style of all plots; units are spelled as on the page.
 
         Args:
@@ -66,7 +69,7 @@ class Figure:
             return saved(figure, form)
 
 
-def saved(figure: "Drawn | SubFigure", form: str = "png") -> bytes:
+def saved(figure: "Drawn | SubFigure", form: str = FORM) -> bytes:
     """A Matplotlib figure as a file, closed. Without a date or random names: equal results give equal files.
 
     Args:
@@ -74,11 +77,19 @@ def saved(figure: "Drawn | SubFigure", form: str = "png") -> bytes:
         form: "png" or "svg".
     """
     import matplotlib.pyplot as plt
+    from matplotlib.backend_bases import get_registered_canvas_class
     from matplotlib.figure import Figure as Drawn
 
     assert isinstance(figure, Drawn)  # the types of Matplotlib allow a part of a figure
-    file = io.BytesIO()
-    with plt.rc_context({"svg.hashsalt": "rvjax"}):
-        figure.savefig(file, format=form, dpi=150, metadata={"Date": None} if form == "svg" else None)
+    file, layout, canvas = io.BytesIO(), figure.get_layout_engine(), get_registered_canvas_class(form)
+    options: Any = {"svg.hashsalt": "rvjax", "figure.autolayout": False, "figure.constrained_layout.use": False}
+    with plt.rc_context(options):
+        if layout is not None and canvas is not None:
+            # `savefig` would draw the figure twice: unseen for its layout, and into the file.
+            figure.set_dpi(DPI)
+            figure.set_canvas(canvas(figure))
+            layout.execute(figure)
+            figure.set_layout_engine(None)  # "none" would leave one that does nothing, for which it draws as well
+        figure.savefig(file, format=form, dpi=DPI, metadata={"Date": None} if form == "svg" else None)
     plt.close(figure)
     return file.getvalue()

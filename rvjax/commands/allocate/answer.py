@@ -103,7 +103,14 @@ class Answer:
     unlimited: Mapping[str, Unlimited] = dataclasses.field(default_factory=dict)
 
 
-def answer(study: Study, *, progress: bool = False, memo: Memo | None = None, measure: bool = True) -> Answer:
+def answer(
+    study: Study,
+    *,
+    progress: bool = False,
+    memo: Memo | None = None,
+    measure: bool = True,
+    sampled: Callable[[Answer], None] | None = None,
+) -> Answer:
     """Allocate the tolerances of a study and collect what the report shows.
 
     Args:
@@ -112,6 +119,7 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None, me
         memo: store of intermediate results, from which an interrupted run resumes.
         measure: measure the allocated units of a four-bar or lost-motion study on the whole reducer, and what a
             loaded study does not limit.
+        sampled: takes the result as soon as its sample units are solved, before the cost curve and what is measured.
     """
     response = study.response()
     begin(SEARCHING)
@@ -166,13 +174,12 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None, me
         _side(study, response, study.tolerances, before, curves, {}),
         _side(study, response, allocation.tolerances, certificate, curves, found),
     ]
+    found_so_far = Answer(study, allocation, before, sides[0], sides[1], cost_curve=[])
+    if sampled is not None:
+        sampled(found_so_far)
     begin(PRICING)
-    return Answer(
-        study=study,
-        allocation=allocation,
-        certificate_before=before,
-        before=sides[0],
-        after=sides[1],
+    return dataclasses.replace(
+        found_so_far,
         cost_curve=_cost_curve(study, response, allocation, memo, solved),
         whole=whole(study, allocation.tolerances) if measure else None,
         unlimited=unlimited(study, allocation.tolerances) if measure else {},

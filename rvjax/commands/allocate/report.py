@@ -10,6 +10,7 @@ import numpy as np
 from rvjax._ground.files import versions
 from rvjax.commands.allocate import kept
 from rvjax.commands.allocate.answer import Answer
+from rvjax.commands.allocate.compute import Computed
 from rvjax.commands.allocate.figures import figures
 from rvjax.commands.allocate.inputs import Inputs
 from rvjax.commands.allocate.shortfall import shortfalls
@@ -38,6 +39,7 @@ from rvjax.render import (
     PAGE,
     Cell,
     Column,
+    Figure,
     Interval,
     Limits,
     Note,
@@ -57,7 +59,7 @@ MOVED = "middles moved"
 NOT_IN_FILE, IN_FILE = EVERYWHERE - {CSV}, frozenset({CSV})
 
 
-def report(inputs: Inputs, found: Answer | None) -> Report:
+def report(inputs: Inputs, found: Computed | None) -> Report:
     """Report on a result, computed or read from a results folder.
 
     Args:
@@ -65,7 +67,7 @@ def report(inputs: Inputs, found: Answer | None) -> Report:
         found: its result, None where a folder keeps it.
     """
     if found is not None:
-        return report_on(found)
+        return report_on(found.answer, found.drawn)
     place = inputs.kept
     assert place is not None
     said = f"Unchanged since {place} was written: this is its stored result. --fresh replaces it."
@@ -79,8 +81,13 @@ def report(inputs: Inputs, found: Answer | None) -> Report:
     )
 
 
-def report_on(answer: Answer) -> Report:
-    """Report on a result."""
+def report_on(answer: Answer, drawn: tuple[Figure, ...] = ()) -> Report:
+    """Report on a result.
+
+    Args:
+        answer: the result.
+        drawn: its figures, none: made here.
+    """
     certificate = answer.allocation.certificate
     fresh = f"Certificate: {certificate.samples:,} independent units, {failures_text(certificate)}"
     return Report(
@@ -92,7 +99,7 @@ def report_on(answer: Answer) -> Report:
             requirement_table(answer),
             *unlimited_tables(answer.unlimited, answer.study),
             Note("\n".join([fresh, *limits_of_the_answer(answer)])),
-            *figures(answer),
+            *(drawn or figures(answer)),
         ),
         status=answer.allocation.status,
         ok=answer.allocation.status == "OPTIMAL",

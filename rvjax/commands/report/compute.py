@@ -1,10 +1,11 @@
 """Content of a page beyond the result: the surrogate behind the sliders, error budget, bearing lives, friction."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from rvjax._ground import progress
 from rvjax.commands.allocate import Answer, answer, figures, phases_of, seconds_of_units
-from rvjax.commands.budget import Budget, budget_if_any
+from rvjax.commands.budget import budget_if_any, section_on
 from rvjax.commands.report import surrogate as behind
 from rvjax.commands.report.bearings import bearing_section
 from rvjax.commands.report.friction import friction_section
@@ -14,8 +15,10 @@ from rvjax.commands.report.losses import begin_losses, losses_if_any
 from rvjax.commands.report.reducer import design_section
 from rvjax.commands.speak import READING, tell, units_placed
 from rvjax.population import Population
+from rvjax.records import PyTree
 from rvjax.render import Content, Figure, Report, Section
-from rvjax.response import begin_programs, is_costly
+from rvjax.response import begin_programs, is_costly, parts
+from rvjax.study import Study
 
 SLIDERS, WRITING = "numbers behind the sliders", "the page"
 
@@ -27,7 +30,7 @@ class Shown:
     Attributes:
         answer: result of the study.
         surrogate: behind the sliders, None where nothing can move.
-        budget: of the allocated tolerances, None where the study has none.
+        budget: on that of the allocated tolerances, None where the study has none.
         bearings: on their lives with the allocated tolerances, None where the study requires none.
         friction: on losses with the allocated tolerances, None where the study requires none.
         design: on the reducer, None: made with the page.
@@ -36,7 +39,7 @@ class Shown:
 
     answer: Answer
     surrogate: behind.Surrogate | None = None
-    budget: Budget | None = None
+    budget: Section | None = None
     bearings: Section | None = None
     friction: Section | None = None
     design: Section | None = None
@@ -68,22 +71,32 @@ def compute(inputs: Inputs) -> Shown | None:
 def _shown(inputs: Inputs) -> Shown:
     found = inputs.answer or answer.answer(inputs.study, progress=not inputs.quiet)
     progress.begin(SLIDERS)
-    response = found.study.response()
-    if inputs.answer is not None and is_costly(response):  # else this process has the programs
-        begin_programs(response, Population.of(found.after.tolerances), slopes=True)
     begin_lives(inputs.study, found.allocation.tolerances)
     begin_losses(inputs.study, found.allocation.tolerances)
+    response, population = found.study.response(), Population.of(found.after.tolerances)
+    for part in parts(response, population) if inputs.answer is not None else ():  # else this process has the programs
+        if is_costly(part.response):
+            begin_programs(part.response, population, slopes=True)
     design, drawn = design_section(found.study), tuple(figures(found))
     _begin((design, *drawn))
-    lives = lives_if_any(inputs.study, found.allocation.tolerances)
-    bearings = bearing_section(lives, inputs.study) if lives else None
-    losses = losses_if_any(inputs.study, found.allocation.tolerances)
-    friction = friction_section(losses, inputs.study) if losses else None
-    _begin(tuple(section for section in (bearings, friction) if section))
-    moved = behind.surrogate(found)
-    budget = budget_if_any(inputs.study, found.allocation.tolerances)
+    with ThreadPoolExecutor(1) as other:  # each works on the host while the devices solve units of the other
+        sections = other.submit(_sections, inputs.study, found.allocation.tolerances)
+        moved = behind.surrogate(found)
+        bearings, friction, budget = sections.result()
     progress.begin(WRITING)
     return Shown(found, moved, budget, bearings, friction, design, drawn)
+
+
+def _sections(study: Study, tolerances: PyTree) -> tuple[Section | None, ...]:
+    """Sections on bearing lives, friction and the error budget, with their figures begun."""
+    lives = lives_if_any(study, tolerances)
+    bearings = bearing_section(lives, study) if lives else None
+    losses = losses_if_any(study, tolerances)
+    friction = friction_section(losses, study) if losses else None
+    budget = budget_if_any(study, tolerances)
+    found = bearings, friction, section_on(budget) if budget else None
+    _begin(tuple(filter(None, found)))
+    return found
 
 
 def _begin(content: tuple[Content, ...]) -> None:

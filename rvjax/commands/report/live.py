@@ -17,6 +17,7 @@ from rvjax.study import stated_by, study_template
 from rvjax.tolerances import Cost, CpkAtLeast, Exponential, Limits, MeanWithin, ReciprocalPower, Requirement, SdAtMost
 from rvjax.units import readable
 
+POOR = 0.5  # of the units, or of a standard deviation: a larger error is no estimate
 KINDS: dict[type[Limits], str] = {Requirement: "share", CpkAtLeast: "cpk", MeanWithin: "mean", SdAtMost: "sd"}
 
 
@@ -94,13 +95,23 @@ def data(found: Surrogate, answer: Answer) -> dict[str, Any]:
 
 def error_text(found: Surrogate) -> str:
     """Text on the measured error of the surrogate."""
-    share, mean, sd = (100 * found.error(figure) for figure in ("yield", "mean", "sd"))
+    share, mean, sd = (found.error(figure) for figure in ("yield", "mean", "sd"))
     where = f"{len(found.checks)} points"
     where += f" with {COMPARED} of the same units" if found.compared == "own" else ""
+    poor = "; the estimate is poor: compute the tolerances with rvjax" if max(share, mean, sd) > POOR else ""
     return (
-        f"largest errors at {where}: yield {share:.2g} % of the units, mean {mean:.2g} % of a standard deviation, "
-        f"standard deviation {sd:.2g} %"
+        f"largest errors at {where}: yield {_percent(share)} of the units, mean {_percent(mean)} of a standard "
+        f"deviation, standard deviation {_percent(sd)}{poor}"
     )
+
+
+def _percent(part: float) -> str:
+    """Percents to two digits, without an exponent."""
+    if not math.isfinite(part):
+        return "an unknown part"
+    if 0 < part < 1e-4:
+        return "below 0.01 %"
+    return f"{np.format_float_positional(100 * part, precision=2, fractional=False, trim='-')} %"
 
 
 def _range(found: Surrogate, k: int, answer: Answer) -> tuple[float, float]:

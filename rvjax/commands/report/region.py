@@ -10,7 +10,9 @@ the same units at other places of the region: two random places and one where al
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Sequence
+from functools import cached_property
 
 import jax.numpy as jnp
 import numpy as np
@@ -27,50 +29,120 @@ Columns = dict[tuple[int, ...], np.ndarray]
 """(k,): slopes, (j, k): bends, each (units,) in the unit of the response."""
 
 
-def errors_of(population: Population, z: np.ndarray) -> np.ndarray:
-    """Errors (elements, units) of units with random numbers z (numbers, units)."""
-    return np.asarray(elements(population, jnp.asarray(z)), float)
+@dataclasses.dataclass(frozen=True)
+class Parameter:
+    """A half-width, or the place of the limits of an error: mid-point, or lower limit where the distribution begins.
+
+    Attributes:
+        field: name of the error.
+        place: False for its half-width.
+        centre: as allocated, unit of the error.
+        reach: how far it may move within the region, either way.
+    """
+
+    field: str
+    place: bool
+    centre: float
+    reach: float
 
 
-def regressed(
-    part: Part,
-    population: Population,
-    moved: Callable[[np.ndarray], Mapping[str, Tolerance]],
-    width: np.ndarray,
-    z: np.ndarray,
-    rng: np.random.Generator,
-) -> tuple[dict[str, np.ndarray], dict[str, Columns]]:
+@dataclasses.dataclass(frozen=True, eq=False)
+class Sample:
+    """Units with the same random numbers at every point of the region; their errors are linear in x.
+
+    Attributes:
+        population: of the allocated tolerances.
+        parameters: what may move.
+        z: random numbers of the units (numbers, units).
+        seed: of the places of the regression.
+    """
+
+    population: Population
+    parameters: Sequence[Parameter]
+    z: np.ndarray
+    seed: int
+
+    def tolerances(self, x: np.ndarray) -> dict[str, Tolerance]:
+        """Tolerances of the fields that move, x in reaches."""
+        made: dict[str, Tolerance] = {}
+        for p, step in zip(self.parameters, map(float, x)):
+            if not step:
+                continue
+            tolerance = made.get(p.field, self.population.active[p.field])
+            if p.place:
+                way = step * p.reach
+                made[p.field] = tolerance.replace(lower=tolerance.lower + way, upper=tolerance.upper + way)
+            else:
+                made[p.field] = tolerance.scaled(p.centre + step * p.reach)  # also of a clearance below 0
+        return made
+
+    def at(self, x: np.ndarray) -> Population:
+        """The population at x (p,)."""
+        return self.population.with_tolerances(self.tolerances(x))
+
+    def errors(self, x: np.ndarray, units: np.ndarray | None = None) -> np.ndarray:
+        """Errors (elements, units) at x.
+
+        Args:
+            x: parameters (p,) in reaches.
+            units: their numbers; by default all.
+        """
+        z = self.z if units is None else self.z[:, units]
+        return np.asarray(elements(self.at(x), jnp.asarray(z)), float)
+
+    @cached_property
+    def here(self) -> np.ndarray:
+        """Errors as allocated (elements, units)."""
+        return self.errors(np.zeros(len(self.parameters)))
+
+    @cached_property
+    def rates(self) -> list[tuple[slice, np.ndarray]]:
+        """Elements that each parameter moves, and how far (elements, units)."""
+        sizes = {name: math.prod(t.shape) for name, t in self.population.active.items()}
+        ends = dict(zip(sizes, np.cumsum(list(sizes.values()))))
+        found = []
+        for p, row in zip(self.parameters, np.eye(len(self.parameters))):
+            own = slice(ends[p.field] - sizes[p.field], ends[p.field])
+            found.append((own, (self.errors(row)[own] - self.errors(-row)[own]) / 2))
+        return found
+
+    @cached_property
+    def places(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Places of each unit (p, units): random ones, and one where all half-widths move; errors there."""
+        rng, shape = np.random.default_rng(self.seed), (len(self.parameters), self.z.shape[1])
+        width = np.array([not p.place for p in self.parameters], float)
+        made = [rng.uniform(-1, 1, shape) for _ in range(PLACES)] + [np.outer(width, rng.uniform(-1, 1, shape[1]))]
+        found = []
+        for x in made:
+            errors = self.here.copy()
+            for (own, rate), step in zip(self.rates, x):
+                errors[own] += rate * step
+            found.append((x, errors))
+        return found
+
+    def rise(self, slopes: np.ndarray) -> np.ndarray:
+        """Derivatives (p, units) along the parameters, from those to the elements (elements, units)."""
+        found = [np.einsum("eu,eu->u", rate, slopes[own]) for own, rate in self.rates]
+        return np.nan_to_num(np.stack(found), posinf=0.0, neginf=0.0)
+
+
+def regressed(part: Part, sample: Sample) -> tuple[dict[str, np.ndarray], dict[str, Columns]]:
     """Values (units,) at x = 0 and slopes and bends, each by output.
 
     Args:
         part: costly outputs.
-        population: at x = 0.
-        moved: x (p,) -> tolerances of the fields that move; the errors of a unit are linear in x.
-        width: 1 where x is a half-width, 0 where it is a place (p,).
-        z: random numbers of the units (numbers, units).
-        rng: of the places.
+        sample: of units.
     """
-    units, count = z.shape[1], len(width)
-
-    def errors_at(x: np.ndarray) -> np.ndarray:
-        return errors_of(population.with_tolerances(moved(x)), z)
-
-    here = errors_at(np.zeros(count))
-    rates = np.stack([(errors_at(row) - errors_at(-row)) / 2 for row in np.eye(count)])
-    base, _, state = part.of_elements(population, here)
-    places = [rng.uniform(-1, 1, (count, units)) for _ in range(PLACES)] + [np.outer(width, rng.uniform(-1, 1, units))]
-    seen = []
-    for x in places:
-        seen.append(part.of_elements(population, here + np.einsum("ku,keu->eu", x, rates))[0])
+    base, _, state = part.of_elements(sample.population, sample.here)
+    seen = [part.of_elements(sample.population, errors)[0] for _, errors in sample.places]
     values_by_name, columns = {}, {}
     for number, name in enumerate(part.names):
-        weights = np.zeros((len(part.names), units))
+        weights = np.zeros((len(part.names), sample.z.shape[1]))
         weights[number] = 1.0
-        slopes = part.slopes_of_elements(population, here, state, weights)
-        rise = np.nan_to_num(np.einsum("keu,eu->ku", rates, slopes), posinf=0.0, neginf=0.0)
+        rise = sample.rise(part.slopes_of_elements(sample.population, sample.here, state, weights))
         rest = [row[number] - base[number] for row in seen]
         values_by_name[name] = base[number]
-        columns[name] = _corrected(base[number], rise, places, rest)
+        columns[name] = _corrected(base[number], rise, [x for x, _ in sample.places], rest)
     return values_by_name, columns
 
 
@@ -92,78 +164,42 @@ FELT = 2e-3  # of a standard deviation: columns that move no unit by more, root 
 _MIXED = 12  # parameters of a response, the strongest, that get mixed bends
 
 
-@dataclasses.dataclass(frozen=True)
-class Parameter:
-    """A half-width, or the place of the limits of an error: mid-point, or lower limit where the distribution begins.
-
-    Attributes:
-        field: name of the error.
-        place: False for its half-width.
-        centre: as allocated, unit of the error.
-        reach: how far it may move within the region, either way.
-    """
-
-    field: str
-    place: bool
-    centre: float
-    reach: float
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class Region:
     """Responses of chosen units at points of the region, and the quadratic functions through them.
 
     Attributes:
         part: outputs.
-        population: of the allocated tolerances.
-        parameters: what may move.
-        z: random numbers of the units (numbers, units).
+        sample: of units.
     """
 
     part: Part
-    population: Population
-    parameters: Sequence[Parameter]
-    z: np.ndarray
+    sample: Sample
 
-    def tolerances(self, x: np.ndarray) -> dict[str, Tolerance]:
-        """Tolerances of the fields that move, x in reaches."""
-        made: dict[str, Tolerance] = {}
-        for p, step in zip(self.parameters, map(float, x)):
-            if not step:
-                continue
-            tolerance = made.get(p.field, self.population.active[p.field])
-            if p.place:
-                way = step * p.reach
-                made[p.field] = tolerance.replace(lower=tolerance.lower + way, upper=tolerance.upper + way)
-            else:
-                made[p.field] = tolerance.scaled(p.centre + step * p.reach)  # also of a clearance below 0
-        return made
-
-    def at(self, x: np.ndarray, units: np.ndarray | None = None) -> dict[str, np.ndarray]:
+    def at(
+        self, x: np.ndarray, units: np.ndarray | None = None, errors: np.ndarray | None = None
+    ) -> dict[str, np.ndarray]:
         """Responses (units,), nan where one failed.
 
         Args:
             x: parameters (p,) in reaches.
             units: their numbers; by default all.
+            errors: of these units at x (elements, units), where the caller has them.
         """
-        population = self.population.with_tolerances(self.tolerances(x))
         if is_costly(self.part.response):
-            z = self.z if units is None else self.z[:, units]
-            return dict(zip(self.part.names, self.part.of_elements(population, errors_of(population, z))[0]))
-        count = self.z.shape[1]
-        lanes = [jnp.asarray(self.z[:, some]) for some in calls(count, BLOCK)]
+            errors = self.sample.errors(x, units) if errors is None else errors
+            return dict(zip(self.part.names, self.part.of_elements(self.sample.population, errors)[0]))
+        population, z = self.sample.at(x), self.sample.z
+        lanes = [jnp.asarray(z[:, some]) for some in calls(z.shape[1], BLOCK)]
         found = [respond(self.part.response, population, some)[0] for some in lanes]
-        values = {n: np.concatenate([np.asarray(each[n], float) for each in found])[:count] for n in self.part.names}
+        values = {
+            n: np.concatenate([np.asarray(each[n], float) for each in found])[: z.shape[1]] for n in self.part.names
+        }
         return {name: column[... if units is None else units] for name, column in values.items()}
 
-    def fitted(self, rng: np.random.Generator) -> tuple[dict[str, np.ndarray], dict[str, Columns]]:
+    def fitted(self) -> tuple[dict[str, np.ndarray], dict[str, Columns]]:
         """Values as allocated, and slopes and bends by response."""
-        if is_costly(self.part.response):
-            width = np.array([not p.place for p in self.parameters], float)
-            found = regressed(self.part, self.population, self.tolerances, width, self.z, rng)
-        else:
-            found = self._quadratic()
-        base, columns = found
+        base, columns = regressed(self.part, self.sample) if is_costly(self.part.response) else self._quadratic()
         felt = {
             name: {key: c for key, c in own.items() if np.sqrt(np.mean(c**2)) > FELT * (np.nanstd(base[name]) or 1.0)}
             for name, own in columns.items()
@@ -172,7 +208,7 @@ class Region:
 
     def _quadratic(self) -> tuple[dict[str, np.ndarray], dict[str, Columns]]:
         """The quadratic functions through the responses at both ends of each parameter, and of pairs."""
-        names, count = self.part.names, len(self.parameters)
+        names, count = self.part.names, len(self.sample.parameters)
         unit = np.eye(count)
         base = self.at(np.zeros(count))
         ends = [(self.at(row), self.at(-row)) for row in unit]
@@ -197,7 +233,7 @@ class Region:
         self, base: dict[str, np.ndarray], columns: dict[str, Columns], spread: dict[str, float]
     ) -> dict[str, set[tuple[int, int]]]:
         """Pairs of parameters whose mixed bends each response needs: none where the sum of the single ones will do."""
-        width = np.array([0.0 if p.place else 1.0 for p in self.parameters])
+        width = np.array([0.0 if p.place else 1.0 for p in self.sample.parameters])
         probes = [width, (1 - width) * 0.5 + width * np.where(np.arange(len(width)) % 4 < 2, 1.0, -1.0)]
         seen, found = [self.at(x) for x in probes], {}
         for name, own in columns.items():

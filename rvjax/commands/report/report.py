@@ -24,7 +24,6 @@ from rvjax.commands.allocate import (
     unlimited_tables,
     unlimited_texts,
 )
-from rvjax.commands.budget import section_on
 from rvjax.commands.cells import condition_text, share
 from rvjax.commands.report import live
 from rvjax.commands.report.compute import Shown
@@ -91,8 +90,7 @@ def page_of(found: Shown, source: str, *, date: str = "") -> str:
     sections: list[Content] = [result, _requirements(answer, drawn), _tolerances(drawn)]
     sections += [live.block(found.surrogate, answer)] if found.surrogate else []
     sections += [found.design or design_section(study), _influence(answer, drawn)]
-    sections += [section_on(found.budget)] if found.budget else []
-    sections += [section for section in (found.bearings, found.friction) if section]
+    sections += [section for section in (found.budget, found.bearings, found.friction) if section]
     sections += [_worst(answer, drawn), _levels(answer)]
     about = dict(study=study.name, author=study.about.author, revision=study.about.revision, computed=date)
     certificate = answer.allocation.certificate

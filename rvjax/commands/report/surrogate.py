@@ -13,13 +13,14 @@ those of the certificate (Deville and Sarndal 1992). What is left is measured at
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, Self
 
 import numpy as np
 
 from rvjax.commands.allocate import Answer
-from rvjax.commands.report.region import COSTLY_UNITS, Columns, Parameter, Region
+from rvjax.commands.report.region import COSTLY_UNITS, Columns, Parameter, Region, Sample
 from rvjax.population import Population, root_key
 from rvjax.response import BLOCK, is_costly, numbers_of, parts
 from rvjax.tolerances import Estimate, Limits, Statistics, Tolerance, monte_carlo
@@ -154,11 +155,9 @@ def surrogate(
     chosen = _thinned(chance, count, np.random.default_rng(study.seed))
     population = Population.of(side.tolerances)
     z = numbers_of(population, root_key(side.seed), valid[chosen])
-    designs = [Region(part, population, parameters, z) for part in parts(response, population)]
-    base, columns = dict[str, np.ndarray](), dict[str, Columns]()
-    for design in designs:
-        own_base, own_columns = design.fitted(np.random.default_rng(study.seed + 1))
-        base, columns = base | own_base, columns | own_columns
+    sample = Sample(population, parameters, z, study.seed + 1)
+    designs = [Region(part, sample) for part in parts(response, population)]
+    base, columns = _fits(designs)
     good = np.isfinite(np.stack([base[name] for name in names])).all(axis=0)
     certificate = answer.allocation.certificate
     failed = certificate.failed / certificate.samples
@@ -173,6 +172,17 @@ def surrogate(
         run = partial(monte_carlo, response, samples=fresh, chunk=chunk)
         checks = _checks(found, answer, designs[0], run, places)
     return dataclasses.replace(found, checks=tuple(checks))
+
+
+def _fits(regions: Sequence[Region]) -> tuple[dict[str, np.ndarray], dict[str, Columns]]:
+    """Values and functions of all outputs. The host works on one part while the devices solve units of another."""
+    base, columns = dict[str, np.ndarray](), dict[str, Columns]()
+    if len(regions) > 1:
+        assert regions[0].sample.places  # before the threads, which share them
+    with ThreadPoolExecutor(len(regions)) as threads:
+        for own_base, own_columns in threads.map(Region.fitted, regions):
+            base, columns = base | own_base, columns | own_columns
+    return base, columns
 
 
 def placed(tolerance: Tolerance) -> float:
@@ -258,7 +268,7 @@ def _checks(
     """Compare the surrogate with independent units, at points of the region and at the study if it is near."""
     study, checks, limited = answer.study, [], _limited(answer)
     for where, x in places:
-        tolerances = region.population.with_tolerances(region.tolerances(x)).tolerances
+        tolerances = region.sample.at(x).tolerances
         true = run(tolerances, seed=study.seed + 3, requirements=study.requirements)
         checks.append(_check(where, found, x, limited, true))
     own = found.place(study.tolerances)
@@ -273,8 +283,13 @@ def _own_checks(
     """Compare the surrogate with the responses of some of its own units, at points of the region."""
     place = np.arange(0, len(found.weights), -(-len(found.weights) // COMPARED))
     ours, some, checks = found.of_units(place), np.flatnonzero(good)[place], []
-    for where, x in places:
-        exact = {name: row for region in regions for name, row in region.at(x, some).items()}
+    with ThreadPoolExecutor(len(regions)) as threads:  # the devices solve units while the host draws the next ones
+        begun = []
+        for _, x in places:
+            errors = regions[0].sample.errors(x, some)
+            begun.append([threads.submit(region.at, x, some, errors) for region in regions])
+    for (where, x), parts_of_x in zip(places, begun):
+        exact = {name: row for part in parts_of_x for name, row in part.result().items()}
         here = np.isfinite(np.stack(list(exact.values()))).all(axis=0)
         figures = {}
         for name, limits in _limited(answer).items():
