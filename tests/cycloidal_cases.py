@@ -67,6 +67,7 @@ def drawn(rng, sizes, size=5e-6):
 
 
 LANES = 8
+SAMPLES = 6  # of a fit
 
 
 @jax.jit
@@ -82,14 +83,48 @@ def lanes(design, errors, angle, torque):
     return jax.grad(error, has_aux=True)((design, errors, angle, torque))
 
 
+def by_lanes(program, cases):
+    """What a program of eight cases (slopes, results) gives for as many or fewer: (results, slopes) of each."""
+    alike = [*cases, *cases[-1:] * (LANES - len(cases))]
+    slopes, found = jax.device_get(program(*jax.tree.map(lambda *leaves: np.stack(leaves), *alike)))
+    return [jax.tree.map(lambda leaf, k=k: leaf[k], (found, slopes)) for k in range(len(cases))]
+
+
 def solve_with_slopes(*cases):
     """Up to eight cases (design, errors, angle, torque) of one size, and their slopes, by one program."""
-    alike = [jax.tree.map(lambda leaf: np.asarray(leaf, float), case) for case in cases]
-    alike += alike[-1:] * (LANES - len(cases))
-    slopes, found = jax.device_get(lanes(*jax.tree.map(lambda *leaves: np.stack(leaves), *alike)))
-    return [jax.tree.map(lambda leaf, k=k: leaf[k], (found, slopes)) for k in range(len(cases))]
+    return by_lanes(lanes, [jax.tree.map(lambda leaf: np.asarray(leaf, float), case) for case in cases])
 
 
 def solve(*cases):
     """Equilibria of up to eight cases."""
     return [found for found, _ in solve_with_slopes(*cases)]
+
+
+@jax.jit
+@jax.vmap
+def fit_lanes(design, errors, way):
+    """Slope of the fit at input angle 0 along a way of the errors, and the fit."""
+
+    def first(errors):
+        found = loaded.clearance(design, errors, samples=SAMPLES)
+        return found.at[0], found
+
+    _, slope, found = jax.jvp(first, (errors,), (way,), has_aux=True)
+    return slope, found
+
+
+def fits_with_slopes(*cases):
+    """Fits of up to eight cases (design, errors, way of the errors) of one size, and slopes, by one program.
+
+    Their `shortening`, which no fit reads, is NaN.
+    """
+    given = []
+    for design, errors, way in cases:
+        design = unchecked(design, cycloid=unchecked(design.cycloid, shortening=np.nan))
+        given.append((*placed(design, errors), placed(design, way)[1]))
+    return by_lanes(fit_lanes, given)
+
+
+def fits(*cases):
+    """Fits without load of up to eight cases (design, errors)."""
+    return [found for found, _ in fits_with_slopes(*((*case, None) for case in cases))]
