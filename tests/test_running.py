@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import running_cases as cases
 from loaded_cases import plain
+from running_cases import TOGETHER
 from scipy.optimize import brentq
 
 from rvjax import Friction, Status, running
@@ -23,7 +24,7 @@ FRICTION, OPTIONS = cases.friction_of(CASE), CASE["options"]
 TIGHT = cases.NAMED["rv40: tight pins, no torque"]
 STEP = 1e-5  # of differences
 COMMON = (
-    *(*cases.TOGETHER, "rv40: back, no errors", "rv40: back, all errors", "rv40: loop, no errors"),
+    *(*TOGETHER, "rv40: back, no errors", "rv40: back, all errors", "rv40: loop, no errors"),
     *("rv40: loop, tight pins", "rv40: loop, play", "rv40: joint, all errors"),
     *("cycloidal: no errors", "cycloidal: all errors, the output drives"),
 )  # the others need a program for each

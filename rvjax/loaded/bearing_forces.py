@@ -45,7 +45,7 @@ def equilibria(
     *,
     near: bool | np.ndarray = False,
 ) -> Equilibria:
-    """Equilibria at every angle under every torque. One loop compiles once, whatever the torques of an angle are.
+    """Equilibria at every angle under every torque, in one loop, because each loop compiles for seconds.
 
     Args:
         layout: counts and methods.
@@ -57,12 +57,12 @@ def equilibria(
         near: start from the angle before, because the crank angle differs little; or (n,) whether each does.
     """
     none = jnp.full((torques.shape[-1], layout.unknowns), jnp.nan, torques.dtype)
-    shared, own = (torques, None) if torques.ndim == 1 else (None, torques)
-    some = None if isinstance(near, bool) else near
+    own = None if torques.ndim == 1 else torques
+    some = None if isinstance(near, bool) else jnp.asarray(near)
 
     def onward(last: jax.Array, at: _Row) -> tuple[jax.Array, tuple[Found, SolveInfo]]:
         angle, given, own, follows = at
-        of_torques = jax.lax.stop_gradient(shared if own is None else own)
+        of_torques = jax.lax.stop_gradient(torques if own is None else own)
         last = last if follows is None else jnp.where(follows, last, none)
         case = jax.lax.stop_gradient(prepare(layout, read, angle))
 
@@ -77,7 +77,7 @@ def equilibria(
     found, info = solved(jax.lax.scan(onward, none, (input_angles, start, own, some))[1])
     measure = jax.checkpoint(partial(_measure, layout, take))
     taken = jax.lax.map(
-        lambda x: measure(read, shared if x[0] is None else x[0], *x[1:]), (own, input_angles, found, info.status)
+        lambda x: measure(read, torques if x[0] is None else x[0], *x[1:]), (own, input_angles, found, info.status)
     )
     q = jnp.where(succeeded(info.status)[..., None], found.q, jnp.nan)
     return Equilibria(taken, info, jax.lax.stop_gradient(q))
