@@ -169,8 +169,8 @@ def forgotten():
 # Dearest first, so that the end is many small files and no worker waits for the other.
 FAMILIES = (
     *("loaded", "tolerances", "running", "dynamics", "code", "four_bar", "identify", "life", "cli", "mesh_force"),
-    *("extremes", "lost_motion", "design", "assembly", "compiled_once", "derivatives", "report", "models", "published"),
-    *("docs", "plotting"),
+    *("cycloidal", "extremes", "lost_motion", "design", "assembly", "compiled_once", "derivatives", "report", "models"),
+    *("published", "docs", "plotting"),
 )
 
 

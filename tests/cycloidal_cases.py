@@ -7,7 +7,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from rvjax import Contact, CycloidalErrors, CycloidalReducer, CycloidalStiffness, CycloidStage, OutputPins
+from rvjax import Contact, CycloidalErrors, CycloidalReducer, CycloidalStiffness, CycloidStage, OutputPins, loaded
 from rvjax.loaded import unchecked
 
 CASES = json.loads((Path(__file__).parent / "reference" / "single_stage.json").read_text())["cases"]
@@ -19,6 +19,19 @@ def design_of(given):
     """The drive of nested dictionaries."""
     parts = {name: cls(**given[name]) for name, cls in PARTS.items()}
     return CycloidalReducer(**parts, member=given["member"])
+
+
+def drive_of(given):
+    """The drive of nested dictionaries; numbers that a constructor refuses come from a traced computation."""
+    try:
+        return design_of(given)
+    except ValueError:
+        possible = {"eccentricity": 1e-6, "pin_radius": 1e-6}
+        drive = design_of(
+            given | {"cycloid": given["cycloid"] | possible, "output": given["output"] | {"hole_clearance": 0}}
+        )
+        parts = {part: unchecked(getattr(drive, part), **given[part]) for part in ("cycloid", "output")}
+        return unchecked(drive, **parts)
 
 
 def errors_of(given):
@@ -51,3 +64,67 @@ def drawn(rng, sizes, size=5e-6):
     }  # fmt: skip
     errors = {name: size * rng.standard_normal(shape) for name, shape in shapes.items()}
     return errors | {"eccentric_phase": 2e-3 * rng.standard_normal(d), "pin_hole_clearance": size}
+
+
+LANES = 8
+SAMPLES = 6  # of a fit
+
+
+@jax.jit
+@jax.vmap
+def lanes(design, errors, angle, torque):
+    """Slopes of the error of Hertzian cases to all their numbers, and the equilibria."""
+
+    def error(given):
+        design, errors, angle, torque = given
+        found = loaded.equilibrium(design, errors, input_angle=angle, output_torque=torque)
+        return found.error, found
+
+    return jax.grad(error, has_aux=True)((design, errors, angle, torque))
+
+
+def by_lanes(program, cases):
+    """What a program of eight cases (slopes, results) gives for as many or fewer: (results, slopes) of each."""
+    alike = [*cases, *cases[-1:] * (LANES - len(cases))]
+    slopes, found = jax.device_get(program(*jax.tree.map(lambda *leaves: np.stack(leaves), *alike)))
+    return [jax.tree.map(lambda leaf, k=k: leaf[k], (found, slopes)) for k in range(len(cases))]
+
+
+def solve_with_slopes(*cases):
+    """Up to eight cases (design, errors, angle, torque) of one size, and their slopes, by one program."""
+    return by_lanes(lanes, [jax.tree.map(lambda leaf: np.asarray(leaf, float), case) for case in cases])
+
+
+def solve(*cases):
+    """Equilibria of up to eight cases."""
+    return [found for found, _ in solve_with_slopes(*cases)]
+
+
+@jax.jit
+@jax.vmap
+def fit_lanes(design, errors, way):
+    """Slope of the fit at input angle 0 along a way of the errors, and the fit."""
+
+    def first(errors):
+        found = loaded.clearance(design, errors, samples=SAMPLES)
+        return found.at[0], found
+
+    _, slope, found = jax.jvp(first, (errors,), (way,), has_aux=True)
+    return slope, found
+
+
+def fits_with_slopes(*cases):
+    """Fits of up to eight cases (design, errors, way of the errors) of one size, and slopes, by one program.
+
+    Their `shortening`, which no fit reads, is NaN.
+    """
+    given = []
+    for design, errors, way in cases:
+        design = unchecked(design, cycloid=unchecked(design.cycloid, shortening=np.nan))
+        given.append((*placed(design, errors), placed(design, way)[1]))
+    return by_lanes(fit_lanes, given)
+
+
+def fits(*cases):
+    """Fits without load of up to eight cases (design, errors)."""
+    return [found for found, _ in fits_with_slopes(*((*case, None) for case in cases))]

@@ -3,6 +3,8 @@
 import json
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from loaded_cases import design_of, errors_of, number, plain
 
@@ -36,3 +38,24 @@ def duty_of(case, **changes):
 def rate(design, errors, duty, **changes):
     """A rating with the options of `BASIC`."""
     return life.rating(design, errors, duty, **(PLAN | changes))
+
+
+@jax.jit
+def _slopes(given):
+    def one(given):
+        *unit, reliability = given
+        found = rate(*unit, reliability=reliability)
+        return jnp.log(found.life), found
+
+    return jax.grad(one, has_aux=True)(given)
+
+
+def rate_with_slopes(design, errors, duty, reliability=0.9):
+    """A rating with the options of `BASIC`, and the slopes of the logarithm of its life to every number."""
+    slopes, found = jax.device_get(_slopes(plain((design, errors, duty, reliability))))
+    return found, slopes
+
+
+def rate_together(*given, **changes):
+    """The rating by the program of the slopes: one serves both."""
+    return rate_with_slopes(*given, **changes)[0]

@@ -1,5 +1,6 @@
 """Reference cases of friction as designs, errors and frictions of one shape and type each: few programs compile."""
 
+import functools
 import json
 from pathlib import Path
 
@@ -15,6 +16,10 @@ from rvjax.loaded import unchecked
 
 CASES = json.loads((Path(__file__).parent / "reference" / "running.json").read_text())["cases"]
 NAMED = {case["name"]: case for case in CASES}
+TOGETHER = (
+    *("rv40: no errors, forward", "rv40: no errors, the output drives", "rv40: all errors and shares"),
+    *("rv40: no torque, no errors", "rv40: tight pins, no torque", "rv40: bad number in the errors"),
+)  # losses of one layout
 FUNCTIONS = {
     "losses": running.losses,
     "single": running.losses,
@@ -53,6 +58,9 @@ def solved(case, **changes):
     """The function of a case with its options, or others."""
     design, errors = unit_of(case)
     options = {name: float(v) if type(v) is int and name != "samples" else v for name, v in case["options"].items()}
+    if case["name"] in TOGETHER:
+        options |= changes
+        return losses(options["samples"], (design, errors, friction_of(case), options))[0]
     return FUNCTIONS[case["kind"]](design, errors, friction_of(case), **(options | changes))
 
 
@@ -146,3 +154,25 @@ def arguments(case, amount):
     options = case["options"]
     unit = (*unit_of(case), friction_of(case), numbers(options))
     return case["kind"], options.get("samples"), np.float64(amount), *unit
+
+
+LANES = 11
+
+
+@functools.cache
+def _lanes(samples):
+    return jax.jit(jax.vmap(functools.partial(along, "losses", samples)))
+
+
+def losses_and_slopes(samples, cases, amounts=0.0):
+    """Losses of up to eleven cases (design, errors, friction, options) of one layout, and slopes, by one program."""
+    alike = loaded_cases.plain([(*unit, numbers(options)) for *unit, options in cases])
+    alike += alike[-1:] * (LANES - len(cases))
+    stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *alike)
+    return jax.device_get(_lanes(samples)(np.broadcast_to(amounts, LANES), *stacked))
+
+
+def losses(samples, *cases):
+    """Losses of each of up to eleven cases."""
+    found, _ = losses_and_slopes(samples, cases)
+    return [loaded_cases.at(found, k) for k in range(len(cases))]

@@ -1,13 +1,19 @@
 """Lives of the eccentric bearings of a single-stage drive: reference case, both members, torque for a life."""
 
 import functools
+import sys
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from cycloidal_cases import CASES, design_of, errors_of
+from cycloidal_cases import CASES, design_of, dictionaries, errors_of
 
 import rvjax
+from oracles import cycloidal as oracle
 from rvjax import Bearings, CycloidalErrors, RollerBearing, RVErrors, Status, catalogue, life, models
+from rvjax.loaded import BearingForces
+from rvjax.status import SolveInfo
 from rvjax.units import rpm
 
 (CASE,) = (case for case in CASES if case["kind"] == "rating")
@@ -59,16 +65,21 @@ def test_without_errors_the_force_stands_in_the_inner_ring():
     turning = size * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     standing = life.bearing_life(ARM, turning, angle=angle, method="raceway").load / 1000
     against = life.bearing_life(ARM, turning, angle=-angle, method="raceway").load / 1000
-    mean = rate(DRIVE, life.Duty([116.0], [20 * rpm], [1.0])).arm_load
-    ratio = np.asarray(one.arm_load / mean)
+    angles = -29 * 2 * np.pi / 30 * np.arange(12) / 12  # of a crank turn
+    methods = dict(output_torque=116.0, contact="linear")
+    turn = [oracle.equilibrium(dictionaries(DRIVE), {}, input_angle=angle, **methods) for angle in angles]
+    size = np.linalg.norm([each["disc_bearing"] for each in turn], axis=-1)
+    ratio = np.asarray(one.arm_load) / np.mean(size ** (10 / 3), axis=0) ** 0.3  # Eq. 21
     assert standing > against + 0.01
     np.testing.assert_allclose(ratio, standing, atol=0.2 * float(standing - against))
 
 
 def test_outputs_of_a_study_are_those_of_the_rating():
     kind = models.kind(DRIVE)
-    how = dict(life_samples=PLAN["samples"], pin_contact="linear", duty=((116.0, 20 * rpm, 1.0),))
-    given, found = kind.conditions(**how), rate(DRIVE, life.Duty([116.0], [20 * rpm], [1.0]))
+    how = dict(
+        life_samples=PLAN["samples"], pin_contact="linear", life_method="raceway", duty=((116.0, 20 * rpm, 1.0),)
+    )
+    given, found = kind.conditions(**how), by_member("carrier")
     due = {"life": found.life, "arm_bearing_life": found.arm[0, 0], "static_safety": found.static_safety}
     for name, value in due.items():
         assert float(kind.outputs[name].evaluate(DRIVE, CycloidalErrors(), given)[0]) == pytest.approx(float(value))
@@ -77,20 +88,43 @@ def test_outputs_of_a_study_are_those_of_the_rating():
 
 def test_the_force_of_a_ring_as_output_turns_with_the_shaft():
     """Seen from the carrier the shaft turns zp times with the ring, as often against the output that is a carrier."""
-    found = life.force_orders(RING, CycloidalErrors(), output_torque=-116.0, samples=240, contact="linear")
+    orders = jax.jit(functools.partial(life.force_orders, samples=240, contact="linear"))
+    found = orders(RING, CycloidalErrors(), output_torque=-116.0)
     size = np.abs(np.asarray(found.amplitude)[0, 0])
     assert found.info.status == 0
     assert found.order[int(np.argmax(size))] == life.crank_order(RING) == 30 == -life.crank_order(DRIVE)
     assert size[found.order == -30] < 0.01 * size.max() and size[found.order == 0] < 0.01 * size.max()
 
 
-@pytest.mark.parametrize("design", [pytest.param(DRIVE, marks=pytest.mark.long), RING], ids=["carrier", "ring"])
+@pytest.mark.long  # programs of their own; by default under forces by a closed form, and of an RV reducer
+@pytest.mark.parametrize("design", [DRIVE, RING], ids=["carrier", "ring"])
 def test_a_torque_for_a_life_gives_it_back(design):
     options = PLAN | dict(contact="linear", method="raceway")  # whose program `by_member` has
     found = rvjax.check(life.rated_torque(design, CycloidalErrors(), life=2e7, output_speed=20 * rpm, **options))
     assert float(found.torque) > 0
     duty = life.Duty([float(found.torque)], [-20 * rpm], [1.0])
     assert float(rate(design, duty, method="raceway").life) == pytest.approx(2e7, rel=1e-8)
+
+
+def told(layout, read, torques, angles, start, *, near):
+    """The force of the discs across their eccentrics alone, at every angle, in the place of equilibria."""
+    size = torques / (layout.discs * read.eccentricity * abs(read.design.ratio))
+    many = len(angles), len(torques), layout.discs, 1, 2
+    arm = jnp.broadcast_to(jnp.stack([size, 0 * size], axis=-1)[None, :, None, None, :], many)
+    info = SolveInfo(*(jnp.full(many[:2], value) for value in (jnp.int32(0), jnp.int32(1), 0.0)))
+    return BearingForces(arm, 0 * arm[:, :, 0], info, start)
+
+
+@pytest.mark.parametrize("design", [DRIVE, RING], ids=["carrier", "ring"])
+def test_the_search_for_a_torque_under_forces_of_a_closed_form(monkeypatch, design):
+    """Of both discs' bearings, Eqs. 21 and 24; the shaft makes zp turns against a disc in one of the output."""
+    monkeypatch.setattr(sys.modules["rvjax.life.rated"], "bearing_forces", told)
+    options = PLAN | dict(samples=5, output_speed=-20 * rpm)  # a program that no other test has
+    found = rvjax.check(life.rated_torque(design, CycloidalErrors(), life=2e7, **options))
+    budget = 2e7 * 20 * rpm * 30 / (2 * np.pi)
+    force = 34500 * (1e6 / budget) ** 0.3 / 2 ** (0.3 / 1.125)
+    lever = 2 * design.cycloid.eccentricity * (29 if design.member == "carrier" else 30)
+    assert float(found.torque) == pytest.approx(force * lever, rel=1e-9)
 
 
 PLACES = dict(disc_position=0.01, planet_position=0.0, support_span=0.03)

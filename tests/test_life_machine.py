@@ -5,13 +5,13 @@ The search for a torque runs on forces by a closed form; `test_life.py` and the 
 
 import dataclasses
 import sys
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from life_cases import BASIC, NAMED, PLAN, duty_of, rate, unit_of
-from loaded_cases import plain
+from life_cases import BASIC, NAMED, PLAN, duty_of, rate, rate_together, rate_with_slopes, unit_of
 
 import rvjax
 from rvjax import Bearings, RVErrors, Status, life, study
@@ -34,7 +34,7 @@ FIELDS = ("life", "arm", "support", "arm_load", "support_load", "static_safety")
 
 @pytest.fixture(scope="module")
 def rated():
-    return rvjax.check(rate(DESIGN, ERRORS, DUTY))
+    return rvjax.check(rate_together(DESIGN, ERRORS, DUTY))
 
 
 def assert_same(found, due, factor=1.0, rtol=1e-11):
@@ -46,24 +46,24 @@ def assert_same(found, due, factor=1.0, rtol=1e-11):
 
 def test_phases_may_be_split_and_in_any_order(rated):
     """Two phases of one, with the rest last; a phase of zero time is read by the static safety alone."""
-    assert_same(rate(DESIGN, ERRORS, jax.tree.map(lambda x: x[[2, 3, 0, 1]], DUTY)), rated)
+    assert_same(rate_together(DESIGN, ERRORS, jax.tree.map(lambda x: x[[2, 3, 0, 1]], DUTY)), rated)
     torque, speed = (np.r_[x[:3], x[0]] for x in (DUTY.output_torque, DUTY.output_speed))
     split = life.Duty(torque, speed, [0.05, 0.5, 0.2, 0.15])
     whole = life.Duty(torque, speed, [0.2, 0.5, 0.2, 0.0])
-    assert_same(rate(DESIGN, ERRORS, split), rate(DESIGN, ERRORS, whole))
+    assert_same(rate_together(DESIGN, ERRORS, split), rate_together(DESIGN, ERRORS, whole))
     peak = DUTY.replace(output_torque=np.r_[DUTY.output_torque[:3], 2060.0], time=np.r_[0.2, 0.5, 0.3, 0.0])
     calm = peak.replace(output_torque=np.r_[DUTY.output_torque[:3], 0.0])
-    high, low = rate(DESIGN, ERRORS, peak), rate(DESIGN, ERRORS, calm)
+    high, low = rate_together(DESIGN, ERRORS, peak), rate_together(DESIGN, ERRORS, calm)
     assert float(high.life) == pytest.approx(float(low.life), rel=1e-12)
     assert float(high.static_safety) < 0.6 * float(low.static_safety)
 
 
 def test_lives_are_of_revolutions(rated):
     """Only shares of the time count; speed shortens lives in proportion; its sign does not matter; rest lengthens."""
-    assert_same(rate(DESIGN, ERRORS, DUTY.replace(time=7 * DUTY.time)), rated)
-    assert_same(rate(DESIGN, ERRORS, DUTY.replace(output_speed=-3 * DUTY.output_speed)), rated, 1 / 3)
+    assert_same(rate_together(DESIGN, ERRORS, DUTY.replace(time=7 * DUTY.time)), rated)
+    assert_same(rate_together(DESIGN, ERRORS, DUTY.replace(output_speed=-3 * DUTY.output_speed)), rated, 1 / 3)
     longer = DUTY.replace(time=np.r_[DUTY.time[:3], 1.1])
-    assert_same(rate(DESIGN, ERRORS, longer), rated, 2.0)
+    assert_same(rate_together(DESIGN, ERRORS, longer), rated, 2.0)
 
 
 def test_bearings_are_a_series_system(rated):
@@ -74,34 +74,27 @@ def test_bearings_are_a_series_system(rated):
     arm = strong.bearings.arm.replace(rating_factor=2.2)
     support = strong.bearings.support.replace(rating_factor=2.2)
     strong = strong.replace(bearings=strong.bearings.replace(arm=arm, support=support))
-    assert_same(rate(strong, ERRORS, DUTY), rated, 2 ** (10 / 3))
+    assert_same(rate_together(strong, ERRORS, DUTY), rated, 2 ** (10 / 3))
 
 
 def test_reliability_scales_all_lives_alike(rated):
     """Eq. 23: the factors of 1977, 0.62 at 95 % and 0.21 at 99 %."""
     for reliability, factor in ((0.95, 0.62), (0.99, 0.21)):
-        found = rate(DESIGN, ERRORS, DUTY, reliability=reliability)
+        found = rate_together(DESIGN, ERRORS, DUTY, reliability=reliability)
         a1 = (np.log(1 / reliability) / np.log(1 / 0.9)) ** (1 / 1.5)
         assert_same(found, rated, a1)
         assert a1 == pytest.approx(factor, abs=0.005)
 
 
-@jax.jit
-def slopes(design, errors, duty, reliability):
-    """Of the logarithm of a life, to every number."""
-    given = design, errors, duty, reliability
-    return jax.grad(lambda d, e, u, r: jnp.log(rate(d, e, u, reliability=r).life), argnums=(0, 1, 2, 3))(*given)
-
-
 def test_derivatives_are_those_of_the_plain_value():
     """A unit whose contacts stay closed near this torque; a step of 1e-9 m, 1e-6 of the rest: 1e-3 of the slope."""
     given = (DESIGN, ERRORS, DUTY, 0.95)
-    slope = slopes(*given)
+    _, slope = rate_with_slopes(*given)
     rng = np.random.default_rng(0)
 
     def number(part, step):
         design, errors, duty, reliability = (*given[:part], jax.tree.map(np.add, given[part], step), *given[part + 1 :])
-        return np.log(float(rate(*plain((design, errors, duty)), reliability=float(reliability)).life))
+        return np.log(float(rate_together(design, errors, duty, reliability).life))
 
     for part in range(4):
         sizes = jax.tree.map(lambda x, part=part: 1e-9 if part == 1 else 1e-6 * np.abs(x), given[part])
@@ -116,8 +109,8 @@ def test_derivatives_are_those_of_the_plain_value():
 
 def test_nothing_that_turns_under_load_is_an_infinite_life():
     still = DUTY.replace(output_speed=np.zeros(4))
-    assert not any(np.any(slope) for slope in jax.tree.leaves(slopes(DESIGN, ERRORS, still, 0.9)))
-    found = rate(DESIGN, ERRORS, still)
+    found, slopes = rate_with_slopes(DESIGN, ERRORS, still)
+    assert not any(np.any(slope) for slope in jax.tree.leaves(slopes))
     assert int(found.info.status) == Status.UNLOADED and np.isinf(found.arm).all() and np.isinf(found.support).all()
     assert not np.any(found.arm_load) and np.isfinite(found.static_safety)
 
@@ -134,7 +127,7 @@ def test_a_bad_number_is_a_status_and_leaves_its_neighbours(rated, thorough):
     radius = np.zeros(8) + ERRORS.pin_radius
     radius[7] = np.nan
 
-    def one(torque, speed, time, diameter, radius):
+    def one(torque, speed, time, diameter, radius, rate=rate_together):
         duty = unchecked(DUTY, output_torque=torque, output_speed=speed, time=time)
         arm = unchecked(DESIGN.bearings.arm, roller_diameter=diameter)
         design = DESIGN.replace(bearings=unchecked(DESIGN.bearings, arm=arm))
@@ -144,7 +137,8 @@ def test_a_bad_number_is_a_status_and_leaves_its_neighbours(rated, thorough):
     found = jax.tree.map(lambda *leaves: np.stack(leaves), *(one(*case) for case in cases))
     finite, fits = Status.NONFINITE, Status.INVALID_GEOMETRY
     due = [Status.CONVERGED, finite, finite, fits, fits, fits, finite, finite]
-    for result in (found, *([jax.vmap(one)(*column.values(), diameter, radius)] if thorough else [])):
+    many = jax.vmap(partial(one, rate=rate))
+    for result in (found, *([many(*column.values(), diameter, radius)] if thorough else [])):
         assert [int(s) for s in result.info.status] == due
         for name in FIELDS:
             values = np.asarray(getattr(result, name))
@@ -241,7 +235,7 @@ def test_the_slope_of_a_torque_for_a_life(monkeypatch):
         return rated._solve(plan, rated.Given(design, errors, one, design.bearings, budget, tilt, one))[0]
 
     given = jnp.array(3.0), jnp.array(2e-4)
-    x, slope = jax.jvp(solved, given, (jnp.array(0.7), jnp.array(-1e-4)))
+    x, slope = jax.jit(partial(jax.jvp, solved))(given, (jnp.array(0.7), jnp.array(-1e-4)))
     torque = float(jnp.exp(x))
     assert 30 - np.log(3.0) - 4 * float(x) == pytest.approx(2e-4 * torque, rel=1e-9)
     assert float(slope) == pytest.approx((-0.7 / 3.0 + 1e-4 * torque) / (4 + 2e-4 * torque), rel=1e-9)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import running_cases as cases
 from loaded_cases import plain
+from running_cases import TOGETHER
 from scipy.optimize import brentq
 
 from rvjax import Friction, Status, running
@@ -23,27 +24,20 @@ FRICTION, OPTIONS = cases.friction_of(CASE), CASE["options"]
 TIGHT = cases.NAMED["rv40: tight pins, no torque"]
 STEP = 1e-5  # of differences
 COMMON = (
-    *("rv40: no errors, forward", "rv40: no errors, the output drives", BASIC, "rv40: no torque, no errors"),
-    *(
-        "rv40: tight pins, no torque",
-        "rv40: bad number in the errors",
-        "rv40: back, no errors",
-        "rv40: back, all errors",
-    ),
-    *("rv40: loop, no errors", "rv40: loop, tight pins", "rv40: loop, play", "rv40: joint, all errors"),
+    *(*TOGETHER, "rv40: back, no errors", "rv40: back, all errors", "rv40: loop, no errors"),
+    *("rv40: loop, tight pins", "rv40: loop, play", "rv40: joint, all errors"),
     *("cycloidal: no errors", "cycloidal: all errors, the output drives"),
 )  # the others need a program for each
 
 
-def plain_options(options):
-    return {
-        name: value if name == "samples" or isinstance(value, str) else float(value) for name, value in options.items()
-    }
+def case_of(errors=ERRORS, friction=FRICTION, design=DESIGN, **changes):
+    """Numbers of losses with some changed."""
+    return design, errors, friction, OPTIONS | changes
 
 
-def losses(errors=ERRORS, friction=FRICTION, design=DESIGN, **changes):
-    """Losses by the one program."""
-    return running.losses(design, errors, plain(friction), **plain_options(OPTIONS | changes))
+def losses(*given, **changes):
+    """Losses by the one program of cases next to each other."""
+    return cases.losses(OPTIONS["samples"], case_of(*given, **changes))[0]
 
 
 @pytest.mark.parametrize(
@@ -73,27 +67,20 @@ def test_places_sum_and_powers_balance():
 
 
 def test_losses_are_linear_in_every_coefficient_and_a_share_is_its_factor():
-    base, unshared = values(losses()), ERRORS
-    for share, names in (
+    pairs = (
         ("ring_pin_friction", ("ring_pins",)),
         ("arm_bearing_friction", ("arm_bearings",)),
         ("support_bearing_friction", ("support_bearings",)),
         ("gear_mesh_friction", ("gear_meshes",)),
-        (
-            "drag_friction",
-            (
-                "arm_bearing_moment",
-                "support_bearing_moment",
-                "input_drag",
-                "output_drag",
-                "input_viscous",
-                "output_viscous",
-            ),
-        ),
-    ):
+        ("drag_friction", tuple(name for name, share in running.SHARES.items() if share == "drag_friction")),
+    )
+    given = [case_of()]
+    for share, names in pairs:
         more = 1 + float(getattr(ERRORS, share))
-        by_share = values(losses(unchecked(unshared, **{share: 2 * more - 1})))
-        by_number = values(losses(friction=FRICTION.replace(**{name: 2 * getattr(FRICTION, name) for name in names})))
+        given.append(case_of(unchecked(ERRORS, **{share: 2 * more - 1})))
+        given.append(case_of(friction=FRICTION.replace(**{name: 2 * getattr(FRICTION, name) for name in names})))
+    base, *found = map(values, cases.losses(OPTIONS["samples"], *given))
+    for (share, names), by_share, by_number in zip(pairs, found[::2], found[1::2]):
         for name, value in by_share.items():
             assert value == pytest.approx(by_number[name], rel=1e-12), (share, name)
         changed = [place for place in (*PLACES, "drag") if by_share[place] != pytest.approx(base[place], rel=1e-12)]
@@ -155,49 +142,55 @@ def test_the_back_driving_torque_divides_what_locks_from_what_turns():
         assert np.isposinf(locked.torque) == (status == Status.CONVERGED)
 
 
-def root(friction, numbers, most=np.inf):
+def searched(friction):
     """The search for a back-driving torque with a friction of a closed form; beyond `most` an equilibrium fails."""
     module = sys.modules["rvjax.running.back_driving"]
 
     def resisting(plan, sign, given, x, start):
-        status = jnp.where(x > most, int(Status.CONTACT_OVERLOAD), 0)
+        status = jnp.where(x > given.bearings, int(Status.CONTACT_OVERLOAD), 0)
         return friction(x, given.errors), status, jnp.int32(1), start
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "_resisting", resisting)
-        plan = SimpleNamespace(samples=1, layout=SimpleNamespace(unknowns=1))
+    plan = SimpleNamespace(samples=1, layout=SimpleNamespace(unknowns=1))
 
-        def solve(numbers):
-            one = jnp.asarray(1.0)
-            return module._solve(plan, 1.0, module.Given(None, numbers, one, None, None, one))
+    @jax.jit
+    @functools.partial(jax.jacfwd, has_aux=True)
+    def solve(numbers, most):
+        one = jnp.asarray(1.0)
+        x, _, info = module._solve(plan, 1.0, module.Given(None, numbers, one, None, most, one))
+        return x, (x, info)
 
-        x, _, info = solve(jnp.asarray(numbers))
-        slope = jax.jacfwd(lambda numbers: solve(numbers)[0])(jnp.asarray(numbers))
-    return float(x), int(info.status), np.asarray(slope), int(info.steps)
+    def root(numbers, most=np.inf):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(module, "_resisting", resisting)
+            slope, (x, info) = solve(jnp.asarray(numbers), most)
+        return float(x), int(info.status), np.asarray(slope), int(info.steps)
+
+    return root
 
 
 def test_the_search_for_a_back_driving_torque_with_friction_of_a_closed_form():
     def line(x, numbers):
         return numbers[0] + numbers[1] * x
 
+    root = searched(line)
     for a, b in ((20.0, 0.0), (20.0, 0.17), (20.0, 0.9), (1e-6, 0.5)):
-        x, status, slope, evaluations = root(line, [a, b])
+        x, status, slope, evaluations = root([a, b])
         assert (x, status) == (pytest.approx(a / (1 - b), rel=1e-9), 0) and evaluations <= 8
         np.testing.assert_allclose(slope, [1 / (1 - b), a / (1 - b) ** 2], rtol=1e-9)
-    assert root(line, [0.0, 0.3])[:2] == (0.0, 0)
+    assert root([0.0, 0.3])[:2] == (0.0, 0)
     for b in (1.0, 1.5, 0.9995):  # no root, or one beyond 1000 times the friction without torque
-        x, status, slope, _ = root(line, [20.0, b])
+        x, status, slope, _ = root([20.0, b])
         assert (x, status) == (np.inf, 0) and not slope.any()
-    assert root(line, [20.0, 0.9], most=150.0)[1] == Status.CONTACT_OVERLOAD  # the root is at 200
-    assert root(line, [20.0, 0.9], most=201.0)[:2] == (pytest.approx(200, rel=1e-9), 0)
+    assert root([20.0, 0.9], most=150.0)[1] == Status.CONTACT_OVERLOAD  # the root is at 200
+    assert root([20.0, 0.9], most=201.0)[:2] == (pytest.approx(200, rel=1e-9), 0)
 
     def bent(x, numbers):
         """Steep at first, as where few pins carry."""
         return numbers[0] + numbers[1] * x / (1 + x / numbers[2])
 
-    numbers = [5.0, 1.4, 10.0]
+    root, numbers = searched(bent), [5.0, 1.4, 10.0]
     due = brentq(lambda x: x - bent(x, numbers), 0, 1000, xtol=1e-12)
-    x, status, _, evaluations = root(bent, numbers)
+    x, status, _, evaluations = root(numbers)
     assert (x, status) == (pytest.approx(due, rel=1e-9), 0) and evaluations <= 10
 
 
@@ -215,10 +208,8 @@ def batch():
         errors = unchecked(ERRORS, **{k: v for k, v in change.items() if k.endswith("_friction")})
         arm = unchecked(DESIGN.bearings.arm, **({"pitch_diameter": 0.0} if "pitch" in change else {}))
         design = DESIGN.replace(bearings=unchecked(DESIGN.bearings, arm=arm))
-        made.append((design, errors, friction, cases.numbers(OPTIONS)))
-    stacked = jax.tree.map(lambda *x: np.stack(x), *plain(made))
-    amounts = np.array([0.0] * 9 + [STEP, -STEP])
-    return jax.jit(jax.vmap(functools.partial(cases.along, "losses", OPTIONS["samples"])))(amounts, *stacked)
+        made.append((design, errors, friction, OPTIONS))
+    return cases.losses_and_slopes(OPTIONS["samples"], made, np.array([0.0] * 9 + [STEP, -STEP]))
 
 
 def test_a_bad_number_is_a_status_and_leaves_its_neighbours():
@@ -271,7 +262,9 @@ def test_derivatives_are_those_of_the_plain_values(name, thorough):
 
 
 def test_second_calls_compile_nothing(compiled):
-    losses(output_torque=300.0)
+    """Of a drive, whose losses are a program for one case."""
+    case = cases.NAMED["cycloidal: no errors"]
+    cases.solved(case, output_torque=3.0)
     compiled.clear()
-    losses(output_torque=310.0, friction=FRICTION.replace(ring_pins=0.07))
+    cases.solved(case | dict(friction=case["friction"] | dict(ring_pins=0.07)), output_torque=3.1)
     assert not [event for event in compiled if "compile" in event]

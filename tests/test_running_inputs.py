@@ -2,6 +2,7 @@
 
 import re
 
+import jax
 import numpy as np
 import pytest
 import running_cases as cases
@@ -128,5 +129,6 @@ def test_a_friction_is_no_part_of_the_loaded_model():
     """A NaN in it is not read there."""
     spoilt = RV.replace(friction=rvjax.Friction(ring_pins=np.nan))
     errors = RVErrors(drag_friction=np.nan)
-    read = loaded.admit(loaded.check_input(spoilt, errors, "hertz", "fixed", "fixed"), spoilt, errors, 1.0, 0.0)
+    layout = loaded.check_input(spoilt, errors, "hertz", "fixed", "fixed")
+    read = jax.jit(lambda *unit: loaded.admit(layout, *unit, 1.0, 0.0))(spoilt, errors)
     assert bool(read.gate.good) and read.design.friction is None and float(read.errors.drag_friction) == 0

@@ -4,6 +4,7 @@ Oracles: `running.losses` of the same unit, and pencil and paper for the page.
 """
 
 import re
+import sys
 import tomllib
 from pathlib import Path
 
@@ -11,15 +12,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import running_cases as cases
 
 from rvjax import Friction, RVErrors, models, running, study
 from rvjax.catalogue import CYCLOIDAL_17, RV_40E
 from rvjax.commands.report import friction as page
 from rvjax.commands.report.losses import BAND, SPEEDS, TORQUES, UnitLosses
-from rvjax.loaded import MACHINE
+from rvjax.loaded import MACHINE, unchecked
 from rvjax.render import Report
 from rvjax.running import sets
+from rvjax.running.turn import PLACES, Turn
 from rvjax.status import SolveInfo
 from rvjax.study.response import Response
 
@@ -44,14 +45,31 @@ def text(name, design=SET, conditions=LOAD + SPEED, limit='upper = "1 N m"'):
     return TEXT.format(design=design, conditions=conditions, name=name, limit=limit)
 
 
-def test_outputs_are_the_losses_of_the_unit():
-    """The output turns backwards, so a positive torque drives the input; the losses are by the reference's program."""
-    case = cases.NAMED["cycloidal: all errors, the output drives"]
-    (design, errors), friction = cases.unit_of(case), cases.friction_of(case)
-    given = models.kind(design).conditions(output_torque=8.8, output_speed=-2.0, running_samples=6)
+def told(plan, call, torques, start=None):
+    """Losses by a formula of the unit, the torque and its sign, in the place of equilibria; the worst of two angles."""
+    own, size = call.friction, jnp.abs(torques) * (1 + call.read.errors.pin_radius + jnp.where(torques > 0, 0.1, 0.0))
+    share = jnp.stack([size, 1.5 * size])
+    places = {name: jnp.zeros_like(share) for name in PLACES} | {
+        "ring_pins": own.ring_pins * share + call.read.design.stiffness.eccentric_bearing * 1e-8,
+        "output_pins": own.output_pins * share,
+    }
+    info = SolveInfo(*(jnp.full(share.shape, value) for value in (jnp.int32(0), jnp.int32(1), 0.0)))
+    return Turn(places, own.output_drag, own.input_viscous, own.static_factor, call.read.design.ratio, info, share)
+
+
+def test_outputs_are_the_losses_of_the_unit(monkeypatch):
+    """The output turns backwards, so a positive torque drives the input; equilibria are told by a formula.
+
+    `test_outputs_pay_for_the_equilibria_that_they_read` and the references have those of the model.
+    """
+    for module in (sets, sys.modules["rvjax.running.losses"]):
+        monkeypatch.setattr(module, "around", told)
+    design = DRIVE.replace(cycloid=DRIVE.cycloid.replace(force_angle=0.1))  # no other test has this program
+    errors = unchecked(DRIVE.error_record(), pin_radius=0.3, ring_pin_friction=0.2)
+    given = models.kind(design).conditions(output_torque=8.8, output_speed=-2.0, running_samples=7)
     names = ("efficiency", "backward_efficiency", "starting_torque", "no_load_torque", "power_loss")
-    found = jax.jit(Response.of(design.replace(friction=friction), names, given))(errors)
-    due = cases.solved(case, output_torque=8.8, output_speed=-2.0)
+    found = jax.jit(Response.of(design, names, given))(errors)
+    due = running.losses(design, errors, output_torque=8.8, output_speed=-2.0, samples=7)
     for name in names:
         np.testing.assert_allclose(found.value[name], getattr(due, name), rtol=1e-9, err_msg=name)
     assert abs(due.power_loss / (2.0 * 8.8 * (1 / due.efficiency - 1)) - 1) > 1e-4  # the sets differ

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rvjax.loaded.balance import forces
 from rvjax.loaded.case import Case, placed, solve
@@ -20,6 +21,10 @@ from rvjax.status import SolveInfo, Status, succeeded
 Take = Callable[[Case, jax.Array, jax.Array], PyTree]
 """(case, displacements (unknowns,), whether it carries) -> what is wanted of an equilibrium. If it does not, forces are
 to count as 0; where an equilibrium failed, its displacements are 0."""
+
+
+_Row = tuple[jax.Array, jax.Array | None, jax.Array | None, jax.Array | None]
+"""Angle, start, torques and whether to follow the row before, as far as rows have their own."""
 
 
 class Equilibria(NamedTuple):
@@ -38,24 +43,27 @@ def equilibria(
     take: Take,
     start: jax.Array | None = None,
     *,
-    near: bool = False,
+    near: bool | np.ndarray = False,
 ) -> Equilibria:
-    """Equilibria at every angle under every torque.
+    """Equilibria at every angle under every torque, in one loop, because each loop compiles for seconds.
 
     Args:
         layout: counts and methods.
         read: finite and possible numbers; its torque and angle are not read.
-        torques: of the discs on the carrier, (t,) N m.
+        torques: of the discs on the carrier, (t,) N m, or (n, t) where every angle has its own.
         input_angles: of the sun, (n,) rad, constants.
         take: from each equilibrium, with its derivatives.
         start: displacements (n, t, unknowns) to start from; NaN or None: the linear step, or those at the angle before.
-        near: start from the angle before, because the crank angle differs little.
+        near: start from the angle before, because the crank angle differs little; or (n,) whether each does.
     """
-    none = jnp.full((len(torques), layout.unknowns), jnp.nan, torques.dtype)
-    of_torques = jax.lax.stop_gradient(torques)
+    none = jnp.full((torques.shape[-1], layout.unknowns), jnp.nan, torques.dtype)
+    own = None if torques.ndim == 1 else torques
+    some = None if isinstance(near, bool) else jnp.asarray(near)
 
-    def onward(last: jax.Array, at: tuple[jax.Array, jax.Array | None]) -> tuple[jax.Array, tuple[Found, SolveInfo]]:
-        angle, given = at
+    def onward(last: jax.Array, at: _Row) -> tuple[jax.Array, tuple[Found, SolveInfo]]:
+        angle, given, own, follows = at
+        of_torques = jax.lax.stop_gradient(torques if own is None else own)
+        last = last if follows is None else jnp.where(follows, last, none)
         case = jax.lax.stop_gradient(prepare(layout, read, angle))
 
         def under(torque: jax.Array, start: jax.Array) -> tuple[Found, SolveInfo]:
@@ -63,12 +71,14 @@ def equilibria(
 
         begin = last if given is None else jnp.where(jnp.isfinite(given), given, last)
         found, info = jax.vmap(under)(of_torques, begin)
-        here = jnp.where(succeeded(info.status)[:, None], found.q, jnp.nan) if near else none
+        here = jnp.where(succeeded(info.status)[:, None], found.q, jnp.nan) if near is not False else none
         return here, (found, info)
 
-    found, info = solved(jax.lax.scan(onward, none, (input_angles, start))[1])
+    found, info = solved(jax.lax.scan(onward, none, (input_angles, start, own, some))[1])
     measure = jax.checkpoint(partial(_measure, layout, take))
-    taken = jax.lax.map(lambda x: measure(read, torques, *x), (input_angles, found, info.status))
+    taken = jax.lax.map(
+        lambda x: measure(read, torques if x[0] is None else x[0], *x[1:]), (own, input_angles, found, info.status)
+    )
     q = jnp.where(succeeded(info.status)[..., None], found.q, jnp.nan)
     return Equilibria(taken, info, jax.lax.stop_gradient(q))
 

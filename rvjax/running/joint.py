@@ -1,6 +1,5 @@
 """Joint model of a reducer for simulators: play, stiffness, friction and inertia at the output."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -9,14 +8,13 @@ from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import Friction, RVReducer
 from rvjax.errors import RVErrors
-from rvjax.loaded import Case, equilibria, turned
 from rvjax.records import Array, PyTree, Record, Scalar, concrete, field, quantity, record
 from rvjax.running.inputs import Plan, check_call, entered
 from rvjax.running.kinds import kind_of
 from rvjax.running.turn import around, ended, worked
 from rvjax.status import SolveInfo, Status
 
-SHARES = (-1e-3, 1e-3, 0.5, 1.0)  # of the rated torque
+SHARES = ((-1e-3, 1e-3, 0.5), (1.0, 1.0, 1.0))  # of the rated torque, three at a time as along the turn
 
 
 @record
@@ -95,18 +93,15 @@ def _joint(
     input_angle: Scalar,
 ) -> Joint:
     call = entered(plan, design, errors, friction, rated_torque, angle=input_angle)
-    layout, read, own, ratio = plan.layout, call.read, call.friction, design.ratio
-    rated = read.torque
-    turn = around(plan, call, jnp.stack([jnp.zeros_like(rated), rated, -rated]))
+    own, ratio, rated = call.friction, design.ratio, call.read.torque
+    held_under = rated * jnp.asarray(SHARES, rated.dtype)
+    turn = around(plan, call, jnp.stack([jnp.zeros_like(rated), rated, -rated]), held=held_under)
     unloaded, forward, backward = (turn.mean(torque) for torque in range(3))
     driven, driving = (forward - unloaded) / rated, (backward - unloaded) / rated  # Eq. 28
     lost, held = driven / (1 + driven), driving / (1 - driving)
 
-    def take(case: Case, q: jax.Array, carries: jax.Array) -> jax.Array:
-        return turned(layout, case, q)
-
-    twist = equilibria(layout, read, rated * jnp.asarray(SHARES, rated.dtype), read.angle[None], take)
-    less, more, half, full = twist.taken[0]
+    assert turn.held is not None
+    (less, more, half), (full, *_) = turn.held
     rotor, output = kind_of(design).inertias(design)
     values = dict(
         ratio=jnp.asarray(ratio, rated.dtype),
@@ -127,9 +122,8 @@ def _joint(
     given = [values[name] for name in ("damping", "rotor_inertia", "output_inertia") if values[name] is not None]
     finite = jnp.all(jnp.isfinite(jnp.stack([jnp.zeros_like(rated), *given])))
     positive = (rated > 0) & (True if damping is None else values["damping"] >= 0)
-    infos = jax.tree.map(lambda *x: jnp.concatenate([jnp.ravel(one) for one in x]), turn.info, twist.info)
     gate = call.gate._replace(
         refused=(*call.gate.refused, (~finite, Status.NONFINITE), (~positive, Status.INVALID_GEOMETRY))
     )
-    values, info = ended(call._replace(gate=gate), infos.status, jnp.zeros((), bool), values, worked(infos))
+    values, info = ended(call._replace(gate=gate), turn.info.status, jnp.zeros((), bool), values, worked(turn.info))
     return Joint(**values, info=info)

@@ -4,15 +4,17 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rvjax.life import input_angles, magnitude, shared, tapered
-from rvjax.loaded import Case, equilibria, forces, named
+from rvjax.loaded import Case, equilibria, forces, named, turned
 from rvjax.records import PyTree
 from rvjax.running.inputs import Call, Plan
 from rvjax.running.kinds import kind_of
 from rvjax.status import SolveInfo, Status, succeeded, worst
 
 PLACES = ("ring_pins", "output_pins", "arm_bearings", "support_bearings", "gear_meshes")
+_TURNED = "turned"
 
 
 class Turn(NamedTuple):
@@ -25,6 +27,7 @@ class Turn(NamedTuple):
     ratio: float
     info: SolveInfo  # (n, t)
     displacements: jax.Array  # (n, t, unknowns), as in `loaded.equilibria`
+    held: jax.Array | None = None  # (m, t) rad, rotations of the output where the input is held; `info` has them last
 
     def drag(self, speed: jax.Array | float) -> jax.Array:
         """Drag at a speed of the output. Eq. 10.
@@ -66,7 +69,9 @@ class Turn(NamedTuple):
         return worst(self.info.status)
 
 
-def around(plan: Plan, call: Call, torques: jax.Array, start: jax.Array | None = None) -> Turn:
+def around(
+    plan: Plan, call: Call, torques: jax.Array, start: jax.Array | None = None, held: jax.Array | None = None
+) -> Turn:
     """Losses along the turn. Eqs. 1 to 10.
 
     Args:
@@ -74,6 +79,7 @@ def around(plan: Plan, call: Call, torques: jax.Array, start: jax.Array | None =
         call: numbers of the call.
         torques: of the output, (t,) N m; each is a set of `plan.samples` equilibria.
         start: displacements of a turn under similar torques.
+        held: more torques (m, t) N m, at the input angle of the call; without start.
     """
     read, friction, layout = call.read, call.friction, plan.layout
     kind = kind_of(read.design)
@@ -84,10 +90,18 @@ def around(plan: Plan, call: Call, torques: jax.Array, start: jax.Array | None =
         sums = {"ring_pins": jnp.sum(at.pins * jnp.abs(ring_slip(call, case))), kind.joints: jnp.sum(at.joints)}
         arm, support = (jnp.where(carries, force, 0) for force in (of_names.disc_bearing, of_names.support_bearing))
         sums = {name: jnp.where(carries, value, 0) for name, value in sums.items()}
-        return sums | {name: jnp.sum(value) for name, value in bearing_moments(call, arm, support).items()}
+        sums |= {name: jnp.sum(value) for name, value in bearing_moments(call, arm, support).items()}
+        return sums if held is None else sums | {_TURNED: turned(layout, case, q)}
 
     angles = input_angles(plan, read.design, read.torque.dtype)
-    found = equilibria(layout, read, torques, angles, take, start, near=plan.near)
+    if held is None:
+        found = equilibria(layout, read, torques, angles, take, start, near=plan.near)
+    else:
+        every = jnp.append(angles, jnp.broadcast_to(read.angle, held.shape[:1]))
+        rows = jnp.concatenate([jnp.broadcast_to(torques, (plan.samples, len(torques))), held])
+        follows = np.isin(np.arange(len(every)), np.arange(1, plan.samples)) if plan.near else False
+        found = equilibria(layout, read, rows, every, take, near=follows)
+    taken = {name: value[: plan.samples] for name, value in found.taken.items()}
     cycloid, cranks = read.design.cycloid, read.design.counts["cranks"]
     slip = jnp.asarray(kind.joint_slip(read.design, read.eccentricity), torques.dtype)
     rates = {
@@ -101,7 +115,7 @@ def around(plan: Plan, call: Call, torques: jax.Array, start: jax.Array | None =
         "support_bearings": kind.support_turns(read.design) * 2 * cranks * friction.support_bearing_moment,
     }
     nothing = jnp.zeros((plan.samples, len(torques)), torques.dtype)
-    places = {name: rates.get(name, 0.0) * found.taken.get(name, nothing) + free.get(name, 0.0) for name in PLACES}
+    places = {name: rates.get(name, 0.0) * taken.get(name, nothing) + free.get(name, 0.0) for name in PLACES}
     ratio = read.design.ratio
     return Turn(
         places=places,
@@ -111,6 +125,7 @@ def around(plan: Plan, call: Call, torques: jax.Array, start: jax.Array | None =
         ratio=ratio,
         info=found.info,
         displacements=found.displacements,
+        held=None if held is None else found.taken[_TURNED][plan.samples :],
     )
 
 
