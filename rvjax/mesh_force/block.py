@@ -58,6 +58,8 @@ class _Rows(NamedTuple):
     gap: jax.Array
     stiffness: jax.Array  # load over approach, for "palmgren" at a typical load
     bends: tuple[jax.Array, ...]  # for "hertz", of `laws.series`
+    hollow: jax.Array  # for "hertz", `line_contact.hollow` at the gear
+    square: jax.Array  # for "hertz", `laws.square`
     typical: jax.Array  # load of a case (1, cases)
     compliance: Compliance
 
@@ -77,64 +79,62 @@ def solve_block(law: str, teeth: int, case: Case, size: int) -> Found:
     rows = _rows(law, teeth, case, torque)
     windup, linear_steps = _linear(rows, torque)
     windup, guess_steps = _guess(law, rows, torque, windup)
-    start, x, load, fine, newton_steps = _newton(law, rows, torque, windup)
+    start, x, load, residual, fine, newton_steps = _newton(law, rows, torque, windup)
     found = {
         "windup": start + x,
         "load": load,
+        "residual": residual,
         "steps": jnp.broadcast_to(linear_steps + guess_steps + newton_steps, (size,)),
         "overload": jnp.zeros(size, bool),
         "finite": jnp.ones(size, bool),
     }
     # A step from far away is right but for its rounding: the safe way begins where it ended.
-    exact = _missing(rows, load, torque) <= 32 * float(jnp.finfo(torque.dtype).eps)
+    exact = residual <= 32 * float(jnp.finfo(torque.dtype).eps)
     windup = jnp.where(fine & ~exact, found["windup"], windup)
-    found = _left_open(law, teeth, case, torque, ~(fine & exact), windup, found)
-    residual = _missing(rows, found["load"], torque)
-    load, loaded = found["load"], _largest(found["load"]) > 0
-    return Found(found["windup"], load.T, found["steps"], residual, loaded, found["overload"], found["finite"])
+    found = _left_open(law, rows, torque, ~(fine & exact), windup, found)
+    loaded = _largest(list(found["load"])) > 0
+    return Found(**found | {"load": found["load"].T, "loaded": loaded})
 
 
-def _moment(rows: _Rows, roller: Callable[[int], tuple[jax.Array, jax.Array]]) -> tuple[jax.Array, jax.Array]:
-    """Moment of the loads and its derivative, (cases,), of `roller(i)`, the load of a roller and its stiffness."""
+def _moment(rows: _Rows, roller: Callable[[_Rows, int], tuple[jax.Array, jax.Array]]) -> tuple[jax.Array, jax.Array]:
+    """Moment of the loads and its derivative, (cases,), of `roller`: the load of roller i and its stiffness."""
     moment, slope = jnp.zeros_like(rows.arm[0]), jnp.zeros_like(rows.arm[0])
     for i in range(len(rows.arm)):
-        arm, (load, rate) = rows.arm[i], roller(i)
-        moment, slope = moment + arm * load, slope + arm * arm * rate
+        row = _row(rows, i)
+        load, rate = roller(row, i)
+        moment, slope = moment + row.arm * load, slope + row.arm * (row.arm * rate)
     return moment, slope
 
 
-def _largest(rows: jax.Array) -> jax.Array:
+def _row(rows: _Rows, i: int) -> _Rows:
+    """Quantities of roller i, (cases,)."""
+    return jax.tree.map(lambda leaf: leaf[i if len(leaf) > 1 else 0], rows)
+
+
+def _largest(values: list[jax.Array]) -> jax.Array:
     """Largest value of all rollers, (cases,); NaN where one is NaN."""
-    return functools.reduce(jnp.maximum, [rows[i] for i in range(len(rows))])
-
-
-def _missing(rows: _Rows, load: jax.Array, torque: jax.Array) -> jax.Array:
-    """Moment missing, relative to the larger of the torque and the sum of |moments|."""
-    moment, size = jnp.zeros_like(torque), jnp.zeros_like(torque)
-    for i in range(len(load)):
-        part = rows.arm[i] * load[i]
-        moment, size = moment + part, size + jnp.abs(part)
-    scale, missing = jnp.maximum(jnp.abs(torque), size), jnp.abs(moment - torque)
-    return jnp.where(scale > 0, missing / jnp.where(scale > 0, scale, 1), 0)
+    return functools.reduce(jnp.maximum, values)
 
 
 def _rows(law: str, teeth: int, case: Case, torque: jax.Array) -> _Rows:
     rollers = all_rollers(teeth, case)
     typical = jnp.maximum(jnp.abs(torque) / (teeth + 1), window(torque, 0.5)[0])
     stiffness = laws.secant_stiffness(law, typical[None], rollers.compliance)
-    bends = laws.bends(stiffness, rollers.compliance) if law == "hertz" else ()
+    hollow = line_contact.hollow(rollers.compliance.gear_radius)
+    bends = laws.bends(stiffness, rollers.compliance, hollow) if law == "hertz" else ()
     shape = (teeth + 1, *torque.shape)
     arm, gap, stiffness = (jnp.broadcast_to(row, shape) for row in (lever(rollers.arm), rollers.gap, stiffness))
-    return _Rows(arm, gap, stiffness, bends, typical[None], rollers.compliance)
+    square = laws.square(rollers.compliance, hollow)
+    return _Rows(arm, gap, stiffness, bends, hollow, square, typical[None], rollers.compliance)
 
 
 def _linear(rows: _Rows, torque: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Windup of linear contacts, and the steps taken."""
     forward = torque >= 0
 
-    def working(i: int) -> tuple[jax.Array, jax.Array]:
-        stiffness = jnp.where((rows.arm[i] > 0) == forward, rows.stiffness[i], 0)
-        return stiffness * rows.gap[i], stiffness
+    def working(row: _Rows, _: int) -> tuple[jax.Array, jax.Array]:
+        stiffness = jnp.where((row.arm > 0) == forward, row.stiffness, 0)
+        return stiffness * row.gap, stiffness
 
     # All rollers of the working half loaded; without errors this is the solution.
     preload, slope = _moment(rows, working)
@@ -151,9 +151,9 @@ def _linear(rows: _Rows, torque: jax.Array) -> tuple[jax.Array, jax.Array]:
     def step(state: PyTree) -> PyTree:
         windup, last, steps = state
 
-        def loaded(i: int) -> tuple[jax.Array, jax.Array]:
-            depth = windup * rows.arm[i] + rows.gap[i]
-            stiffness = jnp.where(depth > 0, rows.stiffness[i], 0)
+        def loaded(row: _Rows, _: int) -> tuple[jax.Array, jax.Array]:
+            depth = windup * row.arm + row.gap
+            stiffness = jnp.where(depth > 0, row.stiffness, 0)
             return stiffness * depth, stiffness
 
         moment, slope = _moment(rows, loaded)
@@ -180,6 +180,14 @@ def _inverse(law: str, rows: _Rows, depth: jax.Array) -> tuple[jax.Array, jax.Ar
     return load, jnp.where(loaded, ratio, 0)
 
 
+def _each(law: str, rows: _Rows, depth: jax.Array) -> Callable[[int], tuple[jax.Array, jax.Array]]:
+    """`_inverse` of roller i: in the kernels that read it, or stored for "palmgren", which takes a logarithm."""
+    if law == "palmgren":
+        load, ratio = _inverse(law, rows, depth)
+        return lambda i: (load[i], ratio[i])
+    return lambda i: _inverse(law, _row(rows, i), depth[i])
+
+
 def _guess(law: str, rows: _Rows, torque: jax.Array, windup: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Windup after Newton steps with `_inverse`, and the steps taken."""
     # `_newton` squares what is left. For "hertz" one step leaves little; for "palmgren" the inverse is exact.
@@ -191,18 +199,26 @@ def _guess(law: str, rows: _Rows, torque: jax.Array, windup: jax.Array) -> tuple
 
     def step(state: PyTree) -> PyTree:
         windup, open_, steps = state
-        load, ratio = _inverse(law, rows, windup[None] * rows.arm + rows.gap)
-        moment, slope = _moment(rows, lambda i: (load[i], rows.stiffness[i] * ratio[i]))
+        stored = _each(law, rows, windup[None] * rows.arm + rows.gap)
+
+        def roller(row: _Rows, i: int) -> tuple[jax.Array, jax.Array]:
+            # Rows of one depth for all would be stored: 25 ns.
+            load, ratio = stored(i) if law == "palmgren" else _inverse(law, row, windup * row.arm + row.gap)
+            return load, row.stiffness * ratio
+
+        moment, slope = _moment(rows, roller)
         missing = moment - torque
         shift = jnp.where(open_, -missing / jnp.where(slope > 0, slope, 1), 0)
-        return windup + shift, open_ & ~(jnp.abs(missing) <= 1e-7 * jnp.abs(torque)), steps + 1
+        if at_most > 1:
+            open_ &= ~(jnp.abs(missing) <= 1e-7 * jnp.abs(torque))
+        return windup + shift, open_, steps + 1
 
     windup, _, steps = jax.lax.while_loop(running, step, (windup, torque != 0, jnp.zeros((), jnp.int32)))
     return windup, steps
 
 
 def _newton(law: str, rows: _Rows, torque: jax.Array, windup: jax.Array) -> tuple[jax.Array, ...]:
-    """Start, shift from there, loads, whether they are the solution, steps: `_newton_step` while it may help."""
+    """Start, shift from there, loads, residual, whether they are the solution, steps: `_newton_step` while it helps."""
 
     def running(state: PyTree) -> jax.Array:
         *_, fine, steps = state
@@ -211,60 +227,76 @@ def _newton(law: str, rows: _Rows, torque: jax.Array, windup: jax.Array) -> tupl
     def step(state: PyTree) -> PyTree:
         *before, fine, steps = state
         start = before[0] + before[1]
-        after = (start, *_newton_step(law, rows, torque, start, steps == 0))
+        x, load, residual, now = _newton_step(law, rows, torque, start, steps == 0, fine, before[2])
         # A finished case does not change while its neighbours iterate.
-        kept = [jnp.where(fine if new.ndim == 1 else fine[None], old, new) for old, new in zip((*before, fine), after)]
-        return *kept, steps + 1
+        start, x, residual = (jnp.where(fine, before[k], new) for k, new in ((0, start), (1, x), (3, residual)))
+        return start, x, load, residual, fine | now, steps + 1
 
-    first = (windup, jnp.zeros_like(windup), jnp.zeros_like(rows.arm), torque == 0, jnp.zeros((), jnp.int32))
-    start, x, load, fine, steps = jax.lax.while_loop(running, step, first)
-    return start, x, load, fine & (torque != 0), steps
+    none = jnp.zeros_like(windup)
+    first = (windup, none, jnp.zeros_like(rows.arm), none, torque == 0, jnp.zeros((), jnp.int32))
+    start, x, load, residual, fine, steps = jax.lax.while_loop(running, step, first)
+    return start, x, load, residual, fine & (torque != 0), steps
 
 
 def _newton_step(
-    law: str, rows: _Rows, torque: jax.Array, start: jax.Array, near: jax.Array
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Shift of the windup, loads, and whether they are the solution.
+    law: str, rows: _Rows, torque: jax.Array, start: jax.Array, near: jax.Array, fine: jax.Array, load: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Shift of the windup, loads, residual, and whether they are the solution.
 
     Where `near`, "hertz" is evaluated as for small loads, and larger ones are not yet the solution.
     """
     depth = start[None] * rows.arm + rows.gap
-    load, ratio = _inverse(law, rows, depth)
-    rate = rows.stiffness * ratio
-    change, square = jnp.zeros_like(load), jnp.zeros_like(start)
-    if law == "hertz":  # else the guess is exact
+    inverse = _each(law, rows, depth)
 
-        def small(load: jax.Array) -> tuple[jax.Array, jax.Array]:
-            approach, squares = laws.approach_near(load, rows.compliance)
-            return approach, _largest(squares)
+    def corrected(depth: jax.Array, approach: Callable[[jax.Array], jax.Array]) -> jax.Array:
+        load, ratio = _inverse(law, rows, depth)
+        return load + rows.stiffness * ratio * (depth - approach(load))
 
-        def every(load: jax.Array) -> tuple[jax.Array, jax.Array]:
-            return laws.approach(law, load, rows.compliance), jnp.zeros_like(start)
+    def small(depth: jax.Array) -> jax.Array:
+        return corrected(depth, lambda load: laws.approach_near(load, rows.compliance, rows.hollow)[0])
 
-        approach, square = jax.lax.cond(near, small, every, load)
-        change = rate * (depth - approach)
-    moment, slope = _moment(rows, lambda i: (load[i] + change[i], rate[i]))
+    def every(depth: jax.Array) -> jax.Array:
+        return corrected(depth, lambda load: laws.approach(law, load, rows.compliance))
+
+    if law == "hertz":
+        base = jax.lax.cond(near, small, every, depth)
+    else:  # the guess is exact
+        base, _ = _inverse(law, rows, depth)
+
+    def linearised(row: _Rows, i: int) -> tuple[jax.Array, jax.Array]:
+        return base[i], row.stiffness * inverse(i)[1]
+
+    moment, slope = _moment(rows, linearised)
     x = (torque - moment) / jnp.where(slope > 0, slope, 1)
-
-    shift = change + rate * rows.arm * x[None]
-    after, moved = load + shift, jnp.abs(shift)
-    # A Newton step of relative size m leaves m^2 times the relative change of the stiffness up to this load, which
-    # is `bend`, and m times the relative error of the stiffness it used.
-    if law == "palmgren":  # load ~ depth^(10/9); the stiffness is exact
-        left = 0.1 * moved
-    else:
-        bend = jnp.abs(ratio - 1)
-        left = moved * bend + load * laws.series_error(bend)
+    # A finished case keeps its loads.
+    after = base + rows.stiffness * _inverse(law, rows, depth)[1] * rows.arm * x[None]
+    after = jnp.where(fine[None], load, after)
     # Tolerance of m left, times load. A quotient, where XLA ends a kernel: it would form a maximum for every roller.
-    unit = 1 / (8 * float(jnp.finfo(x.dtype).eps) * _largest(load))
-    # A roller that changes sides spoils the step.
-    stays = (after >= 0) & ((depth > 0) | (depth + x[None] * rows.arm <= 0))
-    worst = _largest(jnp.where(stays, moved * unit[None] * left - load, jnp.inf))
-    return x, after, (worst <= 0) & (square <= line_contact.NEAR)  # false for NaN
+    unit = 1 / (8 * float(jnp.finfo(x.dtype).eps) * _largest(list(after)))
+
+    def left(i: int) -> jax.Array:
+        row = _row(rows, i)
+        load, ratio = inverse(i)
+        moved = jnp.abs(after[i] - load)
+        # A Newton step of relative size m leaves m^2 times the relative change of the stiffness up to this load, which
+        # is `bend`, and m times the relative error of the stiffness it used.
+        if law == "palmgren":  # load ~ depth^(10/9); the stiffness is exact
+            left = 0.1 * moved
+        else:
+            bend = jnp.abs(ratio - 1)
+            left = moved * bend + load * laws.series_error(bend)
+        # A roller that changes sides spoils the step.
+        stays = (after[i] >= 0) & ((depth[i] > 0) | (depth[i] + x * row.arm <= 0))
+        if law == "hertz":
+            stays &= ~near | (load * row.square <= line_contact.NEAR)
+        return jnp.where(stays, moved * unit * left - load, jnp.inf)
+
+    worst = _largest([left(i) for i in range(len(after))])
+    return x, after, safe.missing(rows.arm, after, torque), worst <= 0  # false for NaN
 
 
 def _left_open(
-    law: str, teeth: int, case: Case, torque: jax.Array, todo: jax.Array, start: jax.Array, found: dict[str, jax.Array]
+    law: str, rows: _Rows, torque: jax.Array, todo: jax.Array, start: jax.Array, found: dict[str, jax.Array]
 ) -> dict[str, jax.Array]:
     """`found` with the cases `todo` solved the safe way, a chunk of them at a time."""
     size = len(todo)
@@ -272,8 +304,8 @@ def _left_open(
     def some(state: PyTree) -> PyTree:
         todo, found = state
         (lanes,) = jnp.nonzero(todo, size=min(LEFT_OPEN, size), fill_value=size)
-        taken = jax.tree.map(lambda leaf: leaf if leaf.shape[-1] == 1 else leaf[..., lanes], case)
-        part = safe.solve(law, teeth, taken, torque[lanes], start[lanes])
+        taken = jax.tree.map(lambda leaf: leaf if leaf.shape[-1] == 1 else leaf[..., lanes], rows)
+        part = safe.solve(law, taken.arm, taken.gap, taken.compliance, torque[lanes], start[lanes])
         part["steps"] += found["steps"][lanes]
         found = {name: found[name].at[..., lanes].set(part[name], mode="drop") for name in found}
         return todo.at[lanes].set(False, mode="drop"), found

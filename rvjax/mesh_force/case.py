@@ -25,9 +25,10 @@ class Case(NamedTuple):
     palmgren: jax.Array  # factor of the contact law "palmgren"
     sine: jax.Array  # of z theta
     cosine: jax.Array
-    cam_error: jax.Array  # over r, like the next two
+    cam_error: jax.Array  # over r, like the next one
     throw_error: jax.Array
-    radius_error: jax.Array
+    radius_error: jax.Array  # m: all of a batch are divided where they are read
+    radius_unit: jax.Array  # 1 / r; 0 where a case fails a check at the entry
     torque: jax.Array  # of one cam over load unit and eccentricity
 
 
@@ -41,15 +42,16 @@ class Roller(NamedTuple):
 
 
 def take_apart(
-    design: CamRollerReducer, errors: CamRollerErrors, torque: Array, angle: Array
+    design: CamRollerReducer, errors: CamRollerErrors, torque: Array, angle: Array, good: Array
 ) -> tuple[Case, jax.Array]:
     """Return the case, and the unit of its loads in N.
 
     Args:
         design: a possible stage, as arrays of one dtype.
-        errors: of its parts.
+        errors: of its parts; radii of rollers any number where `good` is false.
         torque: on the crank, N m.
         angle: of the output, rad.
+        good: whether the case passed the checks at the entry.
     """
     r, e = jnp.asarray(design.roller_radius), jnp.asarray(design.eccentricity)
     link = design.cam_radius + r
@@ -63,7 +65,8 @@ def take_apart(
         cosine=cosine,
         cam_error=jnp.asarray(errors.cam_radius / r),
         throw_error=jnp.asarray(errors.eccentricity / r),
-        radius_error=jnp.asarray(errors.roller_radius / r),
+        radius_error=jnp.asarray(errors.roller_radius),
+        radius_unit=jnp.where(good, 1 / r, 0),
         torque=design.cam_share * torque / (unit * e),
     )
     return case, unit
@@ -77,14 +80,15 @@ def roller(teeth: int, case: Case, sine: Scalar, cosine: Scalar, radius_error: j
         case: the case.
         sine: of the angle 2 pi i / n, a number, or all of them (n,).
         cosine: likewise.
-        radius_error: of the roller over r.
+        radius_error: of the roller, m.
     """
     sin_psi = case.sine * cosine - case.cosine * sine  # (5)
     cos_psi = case.cosine * cosine + case.sine * sine
     place = geometry.rollers(case.eccentricity, 1, teeth, sin_psi, cos_psi)
     cage = jnp.abs(place.cage_ratio)
     # (17)-(27) by virtual work: a roller acts at three contacts, the cam at one.
-    gap = case.cam_error + case.throw_error * place.throw + radius_error * (1 + cage + place.gear_ratio)
+    own = jnp.where(case.radius_unit > 0, radius_error, 0) * case.radius_unit
+    gap = case.cam_error + case.throw_error * place.throw + own * (1 + cage + place.gear_ratio)
     compliance = Compliance(
         cage=cage,
         gear=place.gear_ratio,

@@ -19,7 +19,7 @@ from jax.typing import DTypeLike
 
 from rvjax._ground.choices import choose
 from rvjax._jax.batching import TracedLate, along_lanes
-from rvjax._jax.blocks import ROLLER_CASES, padded
+from rvjax._jax.blocks import ROLLER_CASES
 from rvjax._jax.elementary import LARGEST_ANGLE
 from rvjax._reducer.plausible import checked
 from rvjax.designs import CamRollerReducer, expect
@@ -122,16 +122,23 @@ def _in_blocks(law: str, teeth: int, case: Case) -> Found:
     width = min(size, ROLLER_CASES.here)
     if size == width:
         return solve_block(law, teeth, case, size)
-    shared = [len(leaf) == 1 for leaf in case]
 
-    def block(parts: list[jax.Array]) -> Found:
-        rest = iter(parts)
-        whole = Case(*(leaf if is_shared else next(rest) for leaf, is_shared in zip(case, shared)))
-        return solve_block(law, teeth, whole, width)
+    @jax.jit  # traced once
+    def block(start: jax.Array) -> Found:
+        def part(leaf: jax.Array) -> jax.Array:
+            return leaf if len(leaf) == 1 else jax.lax.dynamic_slice_in_dim(leaf, start, width)
 
-    own = [leaf for leaf, is_shared in zip(case, shared) if not is_shared]
-    found = jax.lax.map(block, [padded(leaf, width).reshape(-1, width, *leaf.shape[1:]) for leaf in own])
-    return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:size], found)
+        return solve_block(law, teeth, Case(*map(part, case)), width)
+
+    def solved(number: jax.Array, found: Found) -> Found:
+        start = jnp.minimum(number * width, size - width)  # the last block overlaps: no case depends on its neighbours
+        return jax.tree.map(
+            lambda all_, new: jax.lax.dynamic_update_slice_in_dim(all_, new, start, 0), found, block(start)
+        )
+
+    shapes = jax.eval_shape(block, 0)
+    none = jax.tree.map(lambda leaf: jnp.zeros((size, *leaf.shape[1:]), leaf.dtype), shapes)
+    return jax.lax.fori_loop(0, -(-size // width), solved, none)
 
 
 @record
@@ -198,9 +205,11 @@ def solve(
         (crushing, Status.CONTACT_OVERLOAD),
     )
     design, gate = admit(design, _harmless(z, torque.dtype), *refusals)
-    (errors, torque, angle), gate = admit((errors, torque, angle), 0, after=gate)
+    others = errors.replace(roller_radius=0.0)
+    (others, torque, angle), gate = admit((others, torque, angle), 0, after=gate)
+    errors = others.replace(roller_radius=errors.roller_radius)
 
-    case, unit = take_apart(design, errors, torque, angle)
+    case, unit = take_apart(design, errors, torque, angle, gate.good)
     found = equilibrium(contact, z, case)
     rollers = all_rollers(z, case)
     windup, load = attach(contact, rollers.arm, rollers.gap, rollers.compliance, case.torque, found.windup, found.load)

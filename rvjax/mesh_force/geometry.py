@@ -60,7 +60,7 @@ def rollers(eccentricity: Scalar, link: Scalar, teeth: int, sin_psi: jax.Array, 
     sin_g = jnp.asarray(eccentricity / link * sin_psi)  # (6)
     cos_g = jnp.sqrt(1 - sin_g**2)
     distance = jnp.asarray(eccentricity * cos_psi + link * cos_g)  # (7)
-    square = cos_g**2 + teeth**2 * sin_g**2
+    square = (1 - sin_g**2) + teeth**2 * sin_g**2  # of no other root
     root = jnp.sqrt(square)
     return Rollers(
         cos_g=cos_g,

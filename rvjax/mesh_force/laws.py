@@ -55,7 +55,7 @@ def approach(law: str, load: jax.Array, roller: Compliance) -> jax.Array:
     )
 
 
-def approach_near(load: jax.Array, roller: Compliance) -> tuple[jax.Array, jax.Array]:
+def approach_near(load: jax.Array, roller: Compliance, hollow: jax.Array | None = None) -> tuple[jax.Array, jax.Array]:
     """`approach` of "hertz" in multiplications alone, and the largest square, to be held against `NEAR`.
 
     A square root costs a processor as much as thirty multiplications.
@@ -63,12 +63,24 @@ def approach_near(load: jax.Array, roller: Compliance) -> tuple[jax.Array, jax.A
     Args:
         load: u >= 0.
         roller: its compliance.
+        hollow: `line_contact.hollow` of `gear_radius`, if it is known.
     """
-    cam, cam_square = line_contact.approach_near(load, roller.cam_radius)
-    cage, cage_square = line_contact.approach_near(roller.cage * load, jnp.ones_like(load))
-    gear, gear_square = line_contact.approach_near(roller.gear * load, roller.gear_radius)
-    largest = jnp.maximum(jnp.maximum(cam_square, cage_square), gear_square)
-    return cam + roller.cage * cage + roller.gear * gear, largest
+    hollow = line_contact.hollow(roller.gear_radius) if hollow is None else hollow
+    cam = line_contact.approach_near(load, roller.cam_radius)
+    cage = line_contact.approach_near(roller.cage * load, jnp.ones_like(load))
+    gear = line_contact.approach_near(roller.gear * load, roller.gear_radius, hollow)
+    return cam + roller.cage * cage + roller.gear * gear, load * square(roller, hollow)
+
+
+def square(roller: Compliance, hollow: jax.Array) -> jax.Array:
+    """Largest square of a half-width over a radius for a load of 1; it grows with the load.
+
+    Args:
+        roller: its compliance.
+        hollow: `line_contact.hollow` of `gear_radius`.
+    """
+    cam = jnp.maximum(roller.cam_radius, line_contact.hollow(roller.cam_radius))
+    return jnp.maximum(jnp.maximum(cam, roller.cage), roller.gear * jnp.maximum(roller.gear_radius, hollow))
 
 
 def slope(law: str, load: jax.Array, roller: Compliance) -> jax.Array:
@@ -147,14 +159,15 @@ def secant_stiffness(law: str, load: jax.Array, roller: Compliance) -> jax.Array
     return 2 / roller.weight
 
 
-def bends(stiffness: jax.Array, roller: Compliance) -> tuple[jax.Array, jax.Array]:
+def bends(stiffness: jax.Array, roller: Compliance, hollow: jax.Array | None = None) -> tuple[jax.Array, jax.Array]:
     """Coefficients b2, b3 of the load u = y (1 + b2 y + b3 y^2 + ..) of "hertz", y = stiffness * approach.
 
     Args:
         stiffness: of small loads.
         roller: its compliance.
+        hollow: `line_contact.hollow` of `gear_radius`, if it is known.
     """
-    gear = line_contact.approach_series(roller.gear_radius)
+    gear = line_contact.approach_series(roller.gear_radius, hollow)
     cam, flat = line_contact.approach_series(roller.cam_radius), line_contact.approach_series(1.0)
     a2, a3 = (
         stiffness * (cam[k] + roller.cage ** (k + 3) * flat[k] + roller.gear ** (k + 3) * gear[k]) for k in (0, 1)
@@ -172,7 +185,8 @@ def series(y: jax.Array, b2: jax.Array, b3: jax.Array) -> tuple[jax.Array, jax.A
         b2: of `bends`.
         b3: of `bends`.
     """
-    return y * jnp.clip(1 + y * (b2 + y * b3), 0.2, 1), jnp.clip(1 + y * (2 * b2 + 3 * y * b3), 0.05, 1)
+    first, second = y * b2, y * y * b3  # 2 b2 and 3 b3 would be stored: XLA takes them out of a loop
+    return y * jnp.clip(1 + first + second, 0.2, 1), jnp.clip(1 + 2 * first + 3 * second, 0.05, 1)
 
 
 def series_error(bend: jax.Array) -> jax.Array:

@@ -86,16 +86,26 @@ def approach_slope(load: jax.Array, relative_radius: jax.Array) -> jax.Array:
     return m * sagitta_slope(m * v) + (1 - m) * sagitta_slope((1 - m) ** 2 / m * v)
 
 
-def approach_near(load: jax.Array, relative_radius: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """`approach` without roots, and the larger square of its half-width over a radius; right up to `NEAR`.
+def hollow(relative_radius: Scalar) -> PyTree:
+    """Square of the half-width over the radius of the other body, for a load of 1: (1 - m)^2 / m.
+
+    Args:
+        relative_radius: m, as in `approach`.
+    """
+    return (1 - relative_radius) ** 2 / relative_radius
+
+
+def approach_near(load: jax.Array, relative_radius: jax.Array, other: jax.Array | None = None) -> jax.Array:
+    """`approach` without roots; right while the squares of its half-width over both radii are up to `NEAR`.
 
     Args:
         load: v, as in `approach`.
         relative_radius: m, as in `approach`.
+        other: `hollow`, if it is known.
     """
     v, m = load, relative_radius
-    other = (1 - m) ** 2 / m
-    return v * (m * _rise(m * v) + (1 - m) * _rise(other * v)), v * jnp.maximum(m, other)
+    other = hollow(m) if other is None else other
+    return v * (m * _rise(m * v) + (1 - m) * _rise(other * v))
 
 
 def _rise(square: jax.Array) -> jax.Array:
@@ -116,15 +126,16 @@ def load_limit(relative_radius: jax.Array) -> jax.Array:
     return 1 / jnp.maximum(m, (1 - m) ** 2 / m)
 
 
-def approach_series(relative_radius: Scalar) -> tuple[PyTree, PyTree]:
+def approach_series(relative_radius: Scalar, other: jax.Array | None = None) -> tuple[PyTree, PyTree]:
     """Coefficients of v^2 and v^3 in the power series of `approach`.
 
     Args:
         relative_radius: m, as in `approach`; 1.0 for a plane.
+        other: `hollow`, if it is known.
     """
     m = relative_radius
-    hollow = (1 - m) ** 3 / m
-    return (m**2 + hollow) / 8, (m**3 + hollow * (1 - m) ** 2 / m) / 16
+    other = hollow(m) if other is None else other
+    return (m**2 + (1 - m) * other) / 8, (m**3 + (1 - m) * other**2) / 16
 
 
 def pressure(

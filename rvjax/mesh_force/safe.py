@@ -10,34 +10,58 @@ import jax
 import jax.numpy as jnp
 
 from rvjax.mesh_force import laws
-from rvjax.mesh_force.case import Case, Roller, all_rollers, lever
+from rvjax.mesh_force.laws import Compliance
 from rvjax.records import PyTree
 
 _STEPS = 100
 
 
-def solve(law: str, teeth: int, case: Case, torque: jax.Array, start: jax.Array) -> dict[str, jax.Array]:
-    """Windup, steps, overload and finite (cases,), and load (n, cases).
+class _Rollers(NamedTuple):
+    arm: jax.Array
+    gap: jax.Array
+    compliance: Compliance
+
+
+def solve(
+    law: str, arm: jax.Array, gap: jax.Array, compliance: Compliance, torque: jax.Array, start: jax.Array
+) -> dict[str, jax.Array]:
+    """Windup, steps, residual, overload and finite (cases,), and load (n, cases).
 
     Args:
         law: one of `laws.CONTACTS`.
-        teeth: z.
-        case: leaves (cases,) or (1,); `radius_error` also (n, cases) or (n, 1).
+        arm: `case.lever` of the rollers (n, cases).
+        gap: their interference (n, cases).
+        compliance: of the rollers (n, cases), or common to some.
         torque: (cases,).
         start: windup near which to search, (cases,); 0 serves where it is not finite.
     """
-    rollers = all_rollers(teeth, case)
-    gap = jnp.broadcast_to(rollers.gap, (teeth + 1, *torque.shape))
-    rollers = rollers._replace(arm=lever(rollers.arm), gap=gap)
+    rollers = _Rollers(arm, gap, compliance)
     torque = torque[None]
     start = jnp.where(jnp.isfinite(start), start, 0)[None]
     found = _bracketed(law, rollers, torque, start)
     windup, load = _rest(rollers, torque, found["windup"], found["load"])
     found = {**found, "windup": windup}
-    return {name: value[0] for name, value in found.items() if name != "load"} | {"load": load}
+    rest = {"load": load, "residual": missing(rollers.arm, load, torque[0])}
+    return {name: value[0] for name, value in found.items() if name != "load"} | rest
 
 
-def _bracketed(law: str, rollers: Roller, torque: jax.Array, start: jax.Array) -> dict[str, jax.Array]:
+def missing(arm: jax.Array, load: jax.Array, torque: jax.Array) -> jax.Array:
+    """Moment missing, relative to the larger of the torque and the sum of |moments|, (cases,).
+
+    Args:
+        arm: (n, cases).
+        load: (n, cases).
+        torque: (cases,).
+    """
+    moment, size = jnp.zeros_like(torque), jnp.zeros_like(torque)
+    for i in range(len(load)):
+        part = arm[i] * load[i]
+        moment, size = moment + part, size + jnp.abs(part)
+    scale, rest = jnp.maximum(jnp.abs(torque), size), jnp.abs(moment - torque)
+    return jnp.where(scale > 0, rest / jnp.where(scale > 0, scale, 1), 0)
+
+
+def _bracketed(law: str, rollers: _Rollers, torque: jax.Array, start: jax.Array) -> dict[str, jax.Array]:
     arm, compliance = rollers.arm, rollers.compliance
     from_start = start * arm + rollers.gap
     tolerance = 4 * float(jnp.finfo(torque.dtype).eps)
@@ -88,14 +112,14 @@ def _bracketed(law: str, rollers: Roller, torque: jax.Array, start: jax.Array) -
     return {"windup": start + state["x"], **{name: state[name] for name in ("load", "steps", "overload", "finite")}}
 
 
-def _rest(rollers: Roller, torque: jax.Array, windup: jax.Array, load: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _rest(rollers: _Rollers, torque: jax.Array, windup: jax.Array, load: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Without torque and preload: no loads, and the windup at the upper edge of where nothing is loaded."""
     edge, slack = _dead_band(rollers)
     idle = slack & (torque == 0)
     return jnp.where(idle, edge, windup), jnp.where(idle & (rollers.arm != 0), 0, load)
 
 
-def _dead_band(rollers: Roller) -> tuple[jax.Array, jax.Array]:
+def _dead_band(rollers: _Rollers) -> tuple[jax.Array, jax.Array]:
     """Upper edge of the range of windups at which nothing is loaded, and whether there is such a range."""
     forward, backward = rollers.arm > 0, rollers.arm < 0
     threshold = -rollers.gap / jnp.where(forward | backward, rollers.arm, 1)
