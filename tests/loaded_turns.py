@@ -8,7 +8,7 @@ from functools import cache, partial
 
 import jax
 import numpy as np
-from loaded_cases import plain
+from loaded_cases import by_newton, plain
 
 from rvjax import loaded
 from rvjax.published.rv160_reducer import MACHINE, NONE
@@ -46,8 +46,8 @@ def solved_over_a_turn(design, errors, torque, shape, pull):
 
     def solved(eps):
         held = design.contact.replace(pin_support=design.contact.pin_support / (1 + eps * shape))
-        one = partial(loaded.equilibrium, design.replace(contact=held), errors, output_torque=torque + eps * pull)
-        return jax.vmap(lambda angle: one(input_angle=angle))(TURN * MACHINE.ratio)
+        one = partial(by_newton, design.replace(contact=held), errors, torque=torque + eps * pull)
+        return jax.vmap(lambda angle: one(angle=angle))(TURN * MACHINE.ratio)
 
     return jax.jvp(solved, (0.0,), (1.0,))
 

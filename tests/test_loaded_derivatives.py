@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from loaded_cases import NAMED, at, design_of, errors_of, plain, solve_many
+from loaded_cases import NAMED, at, by_newton, design_of, errors_of, plain, solve_many
 
-from rvjax import Status, loaded
+from rvjax import Status
 
 CASE = NAMED["rv40: all errors, rated, hertz"]
 SUPPORT = dict(pin_support=np.linspace(1e8, 2e8, 40))
@@ -34,7 +34,7 @@ def outputs(cases):
 
 def traced(inputs):
     design, errors, torque, angle = inputs
-    return jnp.stack(shown(loaded.equilibrium(design, errors, input_angle=angle, output_torque=torque)))
+    return jnp.stack(shown(by_newton(design, errors, angle, torque)))
 
 
 @jax.jit
