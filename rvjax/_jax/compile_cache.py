@@ -12,9 +12,10 @@ import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import jax
+import jax.extend.core
 import numpy as np
 
 from rvjax._jax.blocks import CPU, platform_of
@@ -60,11 +61,13 @@ def batched_alone(*arguments: object) -> bool:
     return not any(isinstance(leaf, jax.core.Tracer) for leaf in leaves) and not _traced()
 
 
+_place: Any = jax.extend.core if hasattr(jax.extend.core, "get_opaque_trace_state") else jax.core  # where JAX has it
+_trace_state = _place.get_opaque_trace_state
 _alone: list[object] = []  # the latest state of JAX outside of any program
 
 
 def _traced() -> bool:
-    state: object = jax.core.get_opaque_trace_state(convention="rvjax")
+    state: object = _trace_state(convention="rvjax")
     if _alone == [state]:  # an operation takes sixty times as long
         return False
     if isinstance(jax.lax.neg(np.float32(0)), jax.core.Tracer):

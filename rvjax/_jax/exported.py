@@ -111,9 +111,9 @@ class _Binary(jax.export.Exported):
         """The program of `_small`, or one written by it."""
         return cls(**{f.name: getattr(program, f.name) for f in dataclasses.fields(program)})
 
-    def mlir_module(self) -> Any:
-        """Bytecode of the module."""
-        return self.mlir_module_serialized
+    def mlir_module(self, serialized: bool = True) -> Any:
+        """Bytecode of the module; later versions of JAX ask for the module itself, and print nothing."""
+        return self.mlir_module_serialized if serialized else ir.Module.parse(self.mlir_module_serialized)
 
 
 def _small(program: jax.export.Exported) -> jax.export.Exported:
