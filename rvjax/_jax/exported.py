@@ -104,7 +104,7 @@ def exported(
 
 
 class _Binary(jax.export.Exported):
-    """A traced program that JAX reads as it is: printed as text and read again, it takes three times as long."""
+    """A traced program that JAX reads as bytecode; a text, written and read again, takes three times as long."""
 
     @classmethod
     def of(cls, program: jax.export.Exported) -> "_Binary":
