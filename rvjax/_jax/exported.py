@@ -113,7 +113,7 @@ class _Binary(jax.export.Exported):
 
     def mlir_module(self, serialized: bool = True) -> Any:
         """Bytecode of the module; later versions of JAX ask for the module itself, and print nothing."""
-        return self.mlir_module_serialized if serialized else ir.Module.parse(self.mlir_module_serialized)
+        return self.mlir_module_serialized if serialized else ir.Module.parse(self.mlir_module_serialized)  # type: ignore[attr-defined]
 
 
 def _small(program: jax.export.Exported) -> jax.export.Exported:
