@@ -18,7 +18,9 @@ if "xla_backend_optimization_level" not in os.environ.get("XLA_FLAGS", ""):
     # XLA's older code generator, in one piece, no optimisation: 15 s of compilation -> 3 s in a mix of three models.
     quick = (
         "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true "
-        "--xla_cpu_parallel_codegen_split_count=1"
+        "--xla_cpu_parallel_codegen_split_count=1 "
+        # Each runs ten times and more over a program, for its speed alone: an eighth of the compilation; bits stay.
+        "--xla_disable_hlo_passes=reshape-mover,while-loop-constant-sinking,while-loop-invariant-code-motion"
     )
     if int(version("jaxlib").split(".")[1]) < 10:  # later ones end the process: they lack the older code generator
         quick += " --xla_cpu_use_fusion_emitters=false"
