@@ -112,7 +112,7 @@ class _Binary(jax.export.Exported):
         return cls(**{f.name: getattr(program, f.name) for f in dataclasses.fields(program)})
 
     def mlir_module(self, serialized: bool = True) -> Any:
-        """Bytecode of the module; later versions of JAX ask for the module itself, and print nothing."""
+        """Bytecode of the module; later versions of JAX take the module itself, and print nothing."""
         return self.mlir_module_serialized if serialized else ir.Module.parse(self.mlir_module_serialized)  # type: ignore[attr-defined]
 
 

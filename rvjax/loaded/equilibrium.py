@@ -1,5 +1,8 @@
 """One equilibrium of a whole reducer: what is read, what is valid, what comes out."""
 
+from collections.abc import Callable
+from typing import TypeVar
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,7 +19,9 @@ from rvjax.loaded.kinds import admit, check_input, named, prepare
 from rvjax.loaded.newton import DIRECT, Found
 from rvjax.loaded.system import Layout
 from rvjax.records import Array, PyTree, Record, Scalar, field, record
-from rvjax.status import SolveInfo, succeeded
+from rvjax.status import SolveInfo, Status, succeeded
+
+R = TypeVar("R")
 
 
 @record
@@ -85,12 +90,28 @@ def equilibrium(
             or an array whose shape does not fit the design.
     """
     layout = check_input(design, errors, contact, carrier, sun)
-    given = design, errors, input_angle, output_torque
+    return newton_first(_equilibrium, layout, design, errors, input_angle, output_torque)
+
+
+_LEFT = Status.MAX_STEPS, Status.CONTACT_OVERLOAD  # of a case that Newton's method leaves
+
+
+def newton_first(solve: Callable[..., R], layout: Layout, *given: PyTree) -> R:
+    """Return solve(layout, *given); outside any program without the interior point method where none needs it.
+
+    Few cases do, and it is a third of the compilation.
+
+    Args:
+        solve: to a result with `info`.
+        layout: counts and methods.
+        given: numbers of one case.
+    """
     if not inside(given):
-        found = _equilibrium(layout._replace(interior=False), *given)
-        if int(found.info.steps) < DIRECT:  # few cases need the other method, which takes long to compile
+        found = solve(layout._replace(interior=False), *given)
+        info: SolveInfo = found.info  # type: ignore[attr-defined]
+        if int(info.status) not in _LEFT or int(info.steps) < DIRECT:
             return found
-    return _equilibrium(layout, *given)
+    return solve(layout, *given)
 
 
 @quick(0, options=ONCE)

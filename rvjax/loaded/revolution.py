@@ -1,5 +1,7 @@
 """Transmission error of a whole reducer along its turn, under load."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +11,7 @@ from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
+from rvjax.loaded.equilibrium import newton_first
 from rvjax.loaded.instants import Instants, instants
 from rvjax.loaded.kinds import admit, check_input
 from rvjax.loaded.system import Layout
@@ -76,12 +79,13 @@ def revolution(
     layout = check_input(design, errors, contact, carrier, sun)
     if samples < 1:
         raise ValueError(f"samples = {samples}: must be at least 1")
-    return _revolution(layout, samples, design, errors, output_torque, 1 / layout.pins if turns is None else turns)
+    turns = 1 / layout.pins if turns is None else turns
+    return newton_first(partial(_revolution, samples), layout, design, errors, output_torque, turns)
 
 
 @quick(0, 1)
 def _revolution(
-    layout: Layout, samples: int, design: PyTree, errors: PyTree, output_torque: Scalar, turns: Scalar
+    samples: int, layout: Layout, design: PyTree, errors: PyTree, output_torque: Scalar, turns: Scalar
 ) -> Revolution:
     read = admit(layout, design, errors, output_torque, turns)
     order = jnp.arange(samples, dtype=read.torque.dtype)
