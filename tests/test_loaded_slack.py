@@ -69,9 +69,10 @@ def test_loose_journals_are_found(law):
     each = [(DESIGN, in_full(at(errors, n)), angles[n], torques[n]) for n in range(lanes)]
     if law == "hertz":
         found = solve_many(each)
-        first = solve(*each[0])  # outside any program: the interior point method is compiled for it alone
-        assert first.info.status == Status.CONVERGED
-        np.testing.assert_allclose(first.error, found.error[0], rtol=1e-8)
+        for n in (1, 2):  # outside any program; Newton's method ends in MAX_STEPS, and beyond the contact law
+            alone = solve(*each[n])
+            assert alone.info.status == Status.CONVERGED
+            np.testing.assert_allclose(alone.error, found.error[n], rtol=1e-8)
     else:
         alone = [solve(*case, contact=law) for case in each]
         found = jax.tree.map(lambda *leaves: np.stack(leaves), *alone)
