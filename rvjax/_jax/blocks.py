@@ -88,7 +88,7 @@ ALL = sys.maxsize
 EQUILIBRIA = Size(64, ALL)
 """Equilibria of the loaded reducer. A unit of 24 angles takes 3.3 us on an H100; 342 us in blocks of 64."""
 ROLLER_CASES = Size(192, ALL)
-"""Cases of roller forces, 26 x 192 numbers; a case takes 0.75 us, with 512 1.05: rows that are a page apart share
+"""Cases of roller forces, 26 x 192 numbers; a case takes 0.54 us, with 512 0.78: rows that are a page apart share
 places of the cache. A case takes 0.6 us on an H100; 19 us in blocks of 512."""
 LINES = 2**15
 """Numbers of the lines of vibration of a block of units, a quarter of a megabyte: the second cache of a core."""
