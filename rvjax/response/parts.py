@@ -136,14 +136,12 @@ def evaluator(response: Response, population: Population, seed: int, method: str
 def begin_programs(response: Response, population: Population, *, slopes: bool = False) -> None:
     """Begin the programs of a costly response, see `Compiled.begin`: each is compiled while the next is traced.
 
-    The part with the most values comes first: mostly its program is the largest, and takes longest to compile.
-
     Args:
         response: in parts.
         population: of the units.
         slopes: with those of the gradients.
     """
-    own = sorted(parts(response, population), key=lambda part: -len(part.names))
+    own = parts(response, population)
     for part in own:
         begin(part.response, population)
     for part in own if slopes else ():
