@@ -9,25 +9,39 @@ import copy
 import functools
 import itertools
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from scipy import stats
+from scipy import optimize, stats
 
 from census import grades
 from oracles import known_optima
 from oracles.known_optima import least, squares
 from oracles.linear_pair import COSTS, LIMIT, PAIR, closed_cost, linear, radius, two
 from oracles.responses import Failing, Linear
-from rvjax.study import Study, load
-from rvjax.tolerances import CpkAtLeast, Middle, Nominal, ReciprocalPower, Requirement, Table, Tolerance, Variable
+from rvjax.commands.init.compute import written
+from rvjax.study import Study, load, parse_study
+from rvjax.tolerances import (
+    CpkAtLeast,
+    MeanWithin,
+    Middle,
+    Nominal,
+    ReciprocalPower,
+    Requirement,
+    Table,
+    Tolerance,
+    Variable,
+)
 from rvjax.units import um
 from tests import codesign_cases, codesign_random
 
 THREE_CRANKS = Path(__file__).parents[1] / "tests" / "three-cranks.toml"
+OWN = Path(__file__).parents[1] / "tests" / "three-cranks-own.toml"
+"""A user's reducer: 99.73 %, limits on pin force and misfit, a mid-point that may move, and few samples."""
 STILL = {"a": Middle(0, 0)}
 """A mid-point that cannot move: the same problem by another search."""
 EDGE = 15 * um  # units with a larger |b| fail
@@ -251,9 +265,142 @@ def of_study(study: Study) -> dict[str, Any]:
     )
 
 
-def studied(name: str) -> Problem:
-    """A study of the RV-40E, or a file."""
-    return Problem("study", lambda: Known(of_study(load(name))), alone=True)
+def studied(name: str, **changes: Any) -> Problem:
+    """An embedded study, or a file."""
+    return Problem("study", lambda: Known(of_study(load(name)) | changes), alone=True)
+
+
+def begun(base: str, target: float) -> Problem:
+    """The study that `rvjax init` writes for a reducer, with a mid-point that may move and another target."""
+
+    def make() -> Known:
+        text = re.sub(r"(?m)^target = 0\.99\b", f"target = {target}", written(base).text)
+        middle = '[middle.equidistant_modification]\nlower = "-5 um"\nupper = "20 um"\n\n'
+        return Known(of_study(parse_study(text.replace("[run]", middle + "[run]", 1), name=base)))
+
+    return Problem("study", make, alone=True)
+
+
+SMALL = ReciprocalPower(reference=0.3, finest=0.02, coarsest=3.0)
+Z99 = float(stats.norm.ppf(0.99))
+
+
+class Costly(NamedTuple):
+    """A response of few units, as a loaded reducer is."""
+
+    function: Callable[..., Any]
+    costly: bool = True
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.function(*arguments)
+
+
+def small(
+    function: Callable[..., Any], required: Any, *, half_width: float = 0.1, fields: str = "a", **more: Any
+) -> dict[str, Any]:
+    """Arguments of a problem of one or two errors."""
+    given = dict(
+        response=function, tolerances={f: Tolerance.symmetric(half_width) for f in fields},
+        costs=dict.fromkeys(fields, SMALL), requirements=required, samples=4096, certificate_samples=20_000,
+    )  # fmt: skip
+    return given | more
+
+
+def number_inside() -> Known:
+    """Costly a + (d - 1)^2 <= 0.3: the best d is 1."""
+    given = small(Costly(lambda e, v: e["a"] + (v["d"] - 1) ** 2), Requirement(upper=0.3, target=0.99),
+                  variables={"d": Variable(0.0, 4.0, start=1.4)})  # fmt: skip
+    return Known(given, Z99 / 3)
+
+
+def number_in_a_bend() -> Known:
+    """Costly sqrt(1e-4 + (a + d - 1)^2) <= 0.3: at d = 1 both sides count."""
+    given = small(Costly(lambda e, v: jnp.sqrt(1e-4 + (e["a"] + v["d"] - 1) ** 2)), Requirement(upper=0.3, target=0.99),
+                  variables={"d": Variable(0.0, 4.0, start=1.4)})  # fmt: skip
+    return Known(given, 0.3 * float(stats.norm.ppf(0.995)) / (3 * math.sqrt(0.09 - 1e-4)))
+
+
+def middle_inside() -> Known:
+    """Costly a + 2 (b - 0.3)^2 <= 0.3, the mid-point of b may move: a non-central chi-square, by quadrature over b."""
+    nodes, weights = np.polynomial.hermite_e.hermegauss(60)
+
+    def failing(t: np.ndarray) -> float:
+        b = t[1] / 3 * nodes
+        return float(weights @ stats.norm.sf((0.3 - 2 * b**2) / (t[0] / 3))) / math.sqrt(2 * math.pi)
+
+    costs = dict(a=SMALL, b=SMALL)
+    optimum = least(costs, [lambda t: 1 - failing(t) / 0.01], 0.2)
+    given = small(Costly(lambda e: e["a"] + 2 * (e["b"] - 0.3) ** 2), Requirement(upper=0.3, target=0.99), fields="ab",
+                  middles={"b": Middle(-1.0, 1.0)})  # fmt: skip
+    return Known(given, optimum)
+
+
+def mean_of_a_number() -> Known:
+    """-0.5 <= mean of a + d - 1 <= 0.2, d costs 3 (2 - d): d = 1.2, and a is free."""
+    given = small(lambda e, v: e["a"] + v["d"] - 1, MeanWithin(lower=-0.5, upper=0.2), half_width=0.3,
+                  variables={"d": Variable(0.0, 2.0, cost=lambda d: 3 * (2 - d))},
+                  certificate_samples=100_000)  # fmt: skip
+    return Known(given, 3 * 0.8 + 0.1, {"": -3.0})
+
+
+def rare_pair() -> Known:
+    """a + 0.5 b <= 0.5 for 99.99 %."""
+    z = float(stats.norm.ppf(0.9999))
+    costs = dict(a=SMALL, b=SMALL)
+    optimum = least(costs, [lambda t: 1 - z**2 / 9 * (t[0] ** 2 + t[1] ** 2 / 4) / 0.25], 0.3)
+    given = small(lambda e: e["a"] + 0.5 * e["b"], Requirement(upper=0.5, target=0.9999), half_width=0.3, fields="ab",
+                  certificate_samples=100_000)  # fmt: skip
+    return Known(given, optimum)
+
+
+def constant_miss() -> Known:
+    """0 a + 0.7 <= 0.5."""
+    return Known(small(lambda e: 0 * e["a"] + 0.7, Requirement(upper=0.5, target=0.99)), 0.2)
+
+
+def flank_and_diameter() -> Known:
+    """Three numbers: y grows as 1/diameter, a nominal flank that must reach 10 mm, and 65 per m of diameter.
+
+    flank = diameter (1 - 2 share) / 12 limits both; the price of the limit follows by differences.
+    """
+    scale = lambda v: 0.12 / v["diameter"]  # noqa: E731
+    flank = lambda v: v["diameter"] * (1 - v["share"]) / 8 - 0.1 * v["play"]  # noqa: E731
+    response = lambda e, v: {  # noqa: E731
+        "y": (e["a"] + e["b"]) * scale(v) + 3 * v["play"] * um / 1e-3 * v["share"] - 2 * um * (v["play"] / 1e-3),
+        "flank": flank(v) + 0.0 * e["a"], "diameter": v["diameter"] + 0.0 * e["a"],
+    }  # fmt: skip
+    fields = {n: ReciprocalPower(scale=k, finest=0.5 * um, coarsest=60 * um) for n, k in (("a", 1.0), ("b", 2.0))}
+
+    def cost(limits: dict[str, float]) -> float:
+        z = Z99 / 3
+
+        def total(x: np.ndarray) -> float:
+            t, d, _s, _p = np.exp(x[:2]) * um, x[2], x[3], x[4]
+            return float(10 * um / t[0] + 20 * um / t[1] + 65 * d)
+
+        def met(x: np.ndarray) -> list[float]:
+            t, d, s, p = np.exp(x[:2]) * um, x[2], x[3], x[4]
+            reach = z * 0.12 / d * math.hypot(*t) + (3 * s - 2) * p * um
+            return [1 - reach / limits["y"], (d * (1 - s) / 8 - 1e-4 * p) / limits["flank"] - 1]
+
+        limited = dict(type="ineq", fun=met)
+        bounds = [(math.log(0.5), math.log(60))] * 2 + [(0.06, 0.3), (0.1, 0.6), (0.0, 2.0)]
+        ends = [
+            optimize.minimize(total, [2.0, 2.0, d, s, 1.0], method="SLSQP", bounds=bounds, constraints=limited,
+                              options=dict(ftol=1e-14, maxiter=500))
+            for d in (0.1, 0.2) for s in (0.15, 0.3, 0.5)
+        ]  # fmt: skip
+        return min(float(end.fun) for end in ends if min(met(end.x)) > -1e-9)
+
+    limits = {"y": 12 * um, "flank": 0.01}
+    given = dict(
+        response=response, tolerances={f: Tolerance.symmetric(8 * um) for f in "ab"}, costs=fields,
+        requirements={"y": Requirement(upper=limits["y"], target=0.99), "flank": Nominal(lower=limits["flank"])},
+        variables=dict(diameter=Variable(0.06, 0.3, start=0.15), share=Variable(0.1, 0.6), play=Variable(0.0, 2e-3)),
+        objective={"diameter": 65.0}, samples=4096, certificate_samples=20_000,
+    )  # fmt: skip
+    exact = differences(cost, limits)
+    return Known(given, cost(limits), {"y": exact["y"], "flank": -exact["flank"]})
 
 
 def _rows() -> dict[str, Problem]:
@@ -285,6 +432,22 @@ def _rows() -> dict[str, Problem]:
         "rv-40e-whole": studied("rv-40e-whole"),
         "three cranks": studied(str(THREE_CRANKS)),
         "rv-40e-design": studied("rv-40e-design"),
+        "number inside": Problem("small", number_inside),
+        "number in a bend": Problem("small", number_in_a_bend),
+        "mid-point inside": Problem("small", middle_inside),
+        "mean of a number": Problem("small", mean_of_a_number),
+        "rare pair": Problem("small", rare_pair),
+        "flank and diameter": Problem("small", flank_and_diameter),
+        "constant miss": Problem("small", constant_miss, "INFEASIBLE"),
+        "own, 1024": studied(str(OWN)),
+        "own, 4096": studied(str(OWN), samples=4096),
+        "rv-20e, mid-point": begun("rv-20e", 0.99),
+        "rv-320e, mid-point": begun("rv-320e", 0.99),
+        "rv-20e, 99.73 %": begun("rv-20e", 0.9973),
+        "rv-80e, 99.73 %": begun("rv-80e", 0.9973),
+        "rv-320e, 99.73 %": begun("rv-320e", 0.9973),
+        "cycloidal-17": studied("cycloidal-17"),
+        "cycloidal-17-additive": studied("cycloidal-17-additive"),
     }
 
 
