@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from oracles.responses import Lever
 from rvjax import study
 from rvjax.tolerances import CpkAtLeast, Middle, Nominal, ReciprocalPower, Requirement, Tolerance, Variable, allocate
-from rvjax.tolerances.optimum import designer
+from rvjax.tolerances.allocation import search
 
 CASES = {
     case["id"]: case
@@ -19,7 +19,7 @@ CASES = {
 }
 PROGRAMMES = [name for name, case in CASES.items() if case["given"].get("family") in ("sums", "larger", "flank")]
 
-one_start = functools.partial(mock.patch.object, designer, "starts", lambda decisions, x, low, high: [x])
+one_start = functools.partial(mock.patch.object, search, "starts", lambda decisions, x, low, high: [x])
 """Context of a search for one valley, from the given start: three quarters of the time are the other starts."""
 
 # The lever of most tests.

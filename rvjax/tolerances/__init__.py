@@ -9,26 +9,20 @@ import dataclasses
 
 from rvjax.population import Estimate, MeasuredColumn, MeasuredParts, Tolerance, for_design, it_width, measured, sample
 from rvjax.response import Outcome
-from rvjax.tolerances.allocating import (
-    FEWEST as FEWEST,
-    KEPT as KEPT,
-    Solved as Solved,
-    allocate,
-    allocated as allocated,
-    block as block,
-)
+from rvjax.tolerances.allocation.allocate import allocate
+from rvjax.tolerances.allocation.cost import COSTS as COSTS, Cost as Cost, Exponential, ReciprocalPower, Table
+from rvjax.tolerances.allocation.curve import CostCurve, cost_curve
+from rvjax.tolerances.allocation.nominal import Nominal
+from rvjax.tolerances.allocation.problem import FEWEST as FEWEST, KEPT as KEPT
+from rvjax.tolerances.allocation.result import Allocation
+from rvjax.tolerances.allocation.search import least_yield as least_yield
+from rvjax.tolerances.allocation.variable import Middle, Variable, check_middles as check_middles
 from rvjax.tolerances.batch.memo import Memo as Memo
 from rvjax.tolerances.batch.monte_carlo import monte_carlo
 from rvjax.tolerances.batch.processes import Folder as Folder, Processes as Processes, take as take
 from rvjax.tolerances.batch.run import Run as Run
 from rvjax.tolerances.batch.statistics import Statistics
 from rvjax.tolerances.batch.unit_file import ENDINGS as ENDINGS, UnitFile
-from rvjax.tolerances.cost_curve import (
-    CostCurve,
-    cost_curve,
-    cost_of_yields as cost_of_yields,
-    least_yield as least_yield,
-)
 from rvjax.tolerances.failure.failure import FailureProbability, failure_probability
 from rvjax.tolerances.influence import (
     COSTLY_UNITS as COSTLY_UNITS,
@@ -38,10 +32,6 @@ from rvjax.tolerances.influence import (
 from rvjax.tolerances.loss import QuadraticLoss, expected_losses as expected_losses
 from rvjax.tolerances.minimise import Minimum, minimise
 from rvjax.tolerances.moments import Moments, rss
-from rvjax.tolerances.optimum.cost import COSTS as COSTS, Cost as Cost, Exponential, ReciprocalPower, Table
-from rvjax.tolerances.optimum.nominal import Nominal
-from rvjax.tolerances.optimum.result import Allocation
-from rvjax.tolerances.optimum.variable import Middle, Variable, check_middles as check_middles
 from rvjax.tolerances.requirements.kinds import (
     KINDS as KINDS,
     CpkAtLeast,

@@ -18,8 +18,8 @@ from rvjax._jax.arguments import checked
 from rvjax.population import Estimate, Population, of_groups, student
 from rvjax.response import Response
 from rvjax.status import SolveInfo, Status
-from rvjax.tolerances.allocating import check_counts, costs_by_field
-from rvjax.tolerances.optimum.cost import Cost
+from rvjax.tolerances.allocation.cost import Cost
+from rvjax.tolerances.allocation.problem import check_counts, costs_by_field
 from rvjax.tolerances.pathwise import Objective, Sampled, inwards
 
 if TYPE_CHECKING:

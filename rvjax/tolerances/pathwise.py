@@ -16,8 +16,7 @@ from rvjax.population import Population, drawn, root_key
 from rvjax.records import PyTree
 from rvjax.response import Response, Values, evaluate, per_response, unwrapped
 from rvjax.status import succeeded
-from rvjax.tolerances.optimum.conlin import total_cost
-from rvjax.tolerances.optimum.cost import Cost
+from rvjax.tolerances.allocation.cost import Cost, total_cost
 
 if TYPE_CHECKING:
     import optax

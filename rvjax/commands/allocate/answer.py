@@ -20,6 +20,7 @@ from rvjax.response import (  # chunks of the certificate's size: the response c
     begin_programs,
     nominal_status,
     numbers_of,
+    parts,
     respond,
     response_names,
     status_without_errors,
@@ -31,11 +32,8 @@ from rvjax.tolerances import (
     Memo,
     Requirement,
     Run,
-    Solved,
     Statistics,
-    allocated,
-    block,
-    cost_of_yields,
+    allocate,
     influences,
     least_yield,
     monte_carlo,
@@ -44,6 +42,7 @@ from rvjax.tolerances import (
 _Curves = Callable[[PyTree, int], tuple[np.ndarray, np.ndarray]]
 
 SHOWN_UNITS = 24  # units with a plotted curve
+BEFORE = 4096  # costly units of the given tolerances, at most
 
 
 @dataclass(frozen=True)
@@ -133,7 +132,8 @@ def answer(
         status_of = status_without_errors if response.costly else nominal_status
         refuse(status_of(response, Population.of(study.tolerances)))
         advance(1)
-    allocation, solved = allocated(
+    population, aims = Population.of(study.tolerances), [] if study.losses else targets(study)
+    allocation = allocate(
         response,
         study.tolerances,
         study.requirements,
@@ -145,29 +145,20 @@ def answer(
         middles=study.middles,
         losses=study.losses,
         grades=any(getattr(study.tolerances, name).size is not None for name in study.fields),
+        yields=aims,
         memo=memo,
         progress=progress,
     )
     certificate = allocation.certificate
     begin(CERTIFYING)
-    before = (
-        solved.given(study.tolerances, study.requirements)
-        if solved
-        else Run(
-            response,
-            Population.of(study.tolerances),
-            response_names(response, Population.of(study.tolerances)),
-            study.requirements,
-            certificate.samples,
-            certificate.seed,  # each certificate of a search has another one
-            block(study.samples, certificate.samples),
-            keep=certificate.values is not None,
-            progress=progress,
-            memo=memo,
-        ).statistics()
-    )
+    before = Run(
+        response, population, response_names(response, population), study.requirements,
+        min(certificate.samples, BEFORE) if response.costly else certificate.samples,
+        certificate.seed, min(study.samples, BLOCK) if certificate.samples < BLOCK else BLOCK,
+        keep=certificate.values is not None, progress=progress, memo=memo,
+    ).statistics()  # fmt: skip
     begin(SAMPLING)
-    curves = _curves(study, solved)
+    curves = _curves(study, response, population)
     chunk = BLOCK if study.middles else min(study.samples, BLOCK)  # of the search
     found = influences(response, allocation.tolerances, seed=study.seed, chunk=chunk)
     sides = [
@@ -180,7 +171,7 @@ def answer(
     begin(PRICING)
     return dataclasses.replace(
         found_so_far,
-        cost_curve=_cost_curve(study, response, allocation, memo, solved),
+        cost_curve=_cost_curve(study, allocation),
         whole=whole(study, allocation.tolerances) if measure else None,
         unlimited=unlimited(study, allocation.tolerances) if measure else {},
     )
@@ -221,12 +212,12 @@ def _side(
     )
 
 
-def _curves(study: Study, solved: Solved | None = None) -> _Curves:
+def _curves(study: Study, response: Response, population: Population) -> _Curves:
     """Angles (n,) and the curves of sample units (units, n) of some tolerances and a seed, by one program for all."""
     curve = study.curve
     if curve is None:
         return lambda tolerances, seed: (np.empty(0), np.empty((0, 0)))  # no model draws one
-    drawing = [part for part in solved.parts if getattr(part.response, "curve", ())] if solved is not None else []
+    drawing = [part for part in parts(response, population) if getattr(part.response, "curve", ())]
     if drawing and curve.angles is not None:
         angle = np.asarray(curve.angles(study.conditions))
 
@@ -248,31 +239,14 @@ def _shown(population: Population, seed: int) -> np.ndarray:
     return numbers_of(population, root_key(seed), np.arange(SHOWN_UNITS))
 
 
-def _cost_curve(
-    study: Study,
-    response: Response,
-    found: Allocation,
-    memo: Memo | None,
-    solved: Solved | None = None,
-) -> list[tuple[float, float]]:
-    aims = targets(study)
-    if not found.feasible or not aims or study.losses:
-        return []  # no place to start from, or a search for the cost alone, which is not what the result minimises
-    moved = found.cost - sum(found.costs.values())  # the curve includes the cost of moved mid-points
-    curve = cost_of_yields(
-        response,
-        found.tolerances,
-        study.requirements,
-        costs=study.costs,
-        targets=aims,
-        samples=study.samples,
-        seed=study.seed,
-        units=shown_values(study),
-        memo=memo,
-        solved=solved,
+def _cost_curve(study: Study, found: Allocation) -> list[tuple[float, float]]:
+    """Points (least yield of a requirement, cost), ascending, the allocation itself among them."""
+    if not found.curve:
+        return []
+    points, goals = (
+        list(found.curve),
+        {item.target for item in study.requirements.values() if isinstance(item, Requirement)},
     )
-    points = [(share, cost + moved) for share, cost in curve]
-    goals = {item.target for item in study.requirements.values() if isinstance(item, Requirement)}
     if len(goals) == 1 and study.joint_target is None:  # the allocation is a point of the curve
         points.append((least_yield(found.certificate), found.cost))
     return sorted(points)

@@ -7,16 +7,12 @@ from typing import ClassVar
 import numpy as np
 
 from rvjax.population import Estimate, Sampled, score_interval, wilson
-from rvjax.tolerances.requirements.factors import CUSHION, MOST_FACTOR, bounded, rare_factor, share_factor
 from rvjax.tolerances.requirements.limits import (
     KINDS,
     MOST_FAILED,
     Limits,
     Pull,
     Verdict,
-    along_reach,
-    nearest,
-    tail_quantile,
 )
 
 __all__ = [
@@ -58,19 +54,6 @@ class Requirement(Limits):
         """Margin of every unit, inf where one failed."""
         return np.where(np.isnan(values), np.inf, self.margin(values))
 
-    def learned(self, values: np.ndarray, distance: float) -> float:
-        """Quantile of the units' margins at the target."""
-        return tail_quantile(self.margins(values), self.target, distance)
-
-    def pull(self, values: np.ndarray, margin: float, distance: float, lanes: int) -> Pull:
-        """Seen from the nominal response, slopes of a linear response grow like the margin itself.
-
-        Least squares along that line brings the units next to the quantile to it.
-        """
-        margins = self.margins(values)
-        units = nearest(margins, self.target, lanes)
-        return along_reach(units, margins[units] + distance, self.outward(values[units]), margin + distance)
-
     def figure(self, sampled: Sampled) -> Estimate:
         """The yield; failed units are rejects."""
         return sampled.share()
@@ -79,12 +62,6 @@ class Requirement(Limits):
         """The lower end of the yield reaches the target."""
         return estimate.lower >= self.target
 
-    def factor(self, estimate: Estimate, samples: int, deviate: float, distance: float) -> float:
-        """Factor of a normal response within two limits."""
-        if estimate.error < 0.5 * math.sqrt(max(0.0, estimate.value * (1 - estimate.value)) / samples):  # see `rarely`
-            return rare_factor(estimate, self.target, deviate)
-        return share_factor(estimate, self.target, samples, deviate)
-
     def hopeless(self, samples: int, confidence: float) -> bool:
         """False: where no sample can certify the target, a probability of failure may."""
         return False
@@ -92,19 +69,6 @@ class Requirement(Limits):
     def beyond(self, samples: int, confidence: float) -> bool:
         """A sample without rejects could not certify the target."""
         return wilson(samples, samples, confidence).lower < self.target
-
-    def aimed_beyond(self, samples: int, deviate: float, confidence: float) -> "Requirement":
-        """The target with `deviate` errors of a share added, unless a probability of failure decides."""
-        if self.beyond(samples, confidence):
-            return self
-        share = self.target + deviate * math.sqrt(self.target * (1 - self.target) / samples)
-        return dataclasses.replace(self, target=min(share, 1 - 0.5 / samples))
-
-    def rarely(self, failing: Estimate, trusted: bool) -> Verdict:
-        """The whole interval keeps the target, and its value is reliable."""
-        share = Estimate(1 - failing.value, failing.error, 1 - failing.upper, 1 - failing.lower)
-        how = "importance sampling" if trusted else "importance sampling, not to be trusted"
-        return Verdict(f"{self.text()}, {how}", self.judges, share, trusted and self.holds(share))
 
     def certified_margin(self, values: np.ndarray, deviate: float) -> float:
         """Margin of the unit at which these units would just prove the target; inf where no share would.
@@ -117,6 +81,12 @@ class Requirement(Limits):
         counts = range(math.ceil(self.target * n), n + 1)
         enough = next((k for k in counts if score_interval(k / n, n, deviate)[0] >= self.target), 0)
         return float(np.sort(self.margins(values))[enough - 1]) if enough else math.inf
+
+    def rarely(self, failing: Estimate, trusted: bool) -> Verdict:
+        """The whole interval keeps the target, and its value is reliable."""
+        share = Estimate(1 - failing.value, failing.error, 1 - failing.upper, 1 - failing.lower)
+        how = "importance sampling" if trusted else "importance sampling, not to be trusted"
+        return Verdict(f"{self.text()}, {how}", self.judges, share, trusted and self.holds(share))
 
     def shortfall(self, values: np.ndarray, joint_target: float) -> float:
         """The sampled quantile itself, at the stricter of both targets."""
@@ -154,6 +124,10 @@ class MeanWithin(Limits):
         sign = float(self.outward(values[units].mean())) if units.size else 0.0
         return Pull(units, np.full(units.size, sign), np.ones(units.size))
 
+    def error(self, values: np.ndarray) -> float:
+        """Spread of the units."""
+        return float(values[_valid(values)].std()) if _valid(values).size else 0.0
+
     def figure(self, sampled: Sampled) -> Estimate:
         """The mean of the valid units."""
         return sampled.mean()
@@ -162,11 +136,9 @@ class MeanWithin(Limits):
         """The whole interval lies within the limits."""
         return self.lower <= estimate.lower and estimate.upper <= self.upper
 
-    def factor(self, estimate: Estimate, samples: int, deviate: float, distance: float) -> float:
-        """The mean moves away from its nominal place in proportion."""
-        way = float(self.margin(estimate.value)) + distance
-        wanted = distance - (deviate + CUSHION) * estimate.error
-        return bounded(wanted / way) if way > 0 else MOST_FACTOR
+    def shown(self, estimate: Estimate, sd: float, deviate: float) -> float:
+        """Margin of the worse end of the interval."""
+        return float(self.margin(estimate.value)) + deviate * estimate.error
 
     def text(self) -> str:
         """Name of the limited statistic."""
@@ -196,10 +168,6 @@ class SdAtMost(Limits):
         if not self.upper > 0:
             raise ValueError(f"SdAtMost.upper = {self.upper:.6g}: must be positive")
 
-    def distance(self, values: np.ndarray) -> float:
-        """A batch without errors has no spread."""
-        return self.upper
-
     def learned(self, values: np.ndarray, distance: float) -> float:
         """The standard deviation beyond its limit."""
         valid = values[_valid(values)]
@@ -210,6 +178,10 @@ class SdAtMost(Limits):
         units = _valid(values)
         return Pull(units, _spread_pull(values[units]), np.ones(units.size))
 
+    def error(self, values: np.ndarray) -> float:
+        """Spread of what each unit adds to the standard deviation."""
+        return float(_spread_part(values[_valid(values)]).std()) if _valid(values).size > 1 else 0.0
+
     def figure(self, sampled: Sampled) -> Estimate:
         """The standard deviation of the valid units."""
         return sampled.sd()
@@ -218,10 +190,9 @@ class SdAtMost(Limits):
         """The upper end of the interval keeps the limit."""
         return estimate.upper <= self.upper
 
-    def factor(self, estimate: Estimate, samples: int, deviate: float, distance: float) -> float:
-        """The standard deviation grows with the half-widths in proportion."""
-        seen = estimate.value + (deviate + CUSHION) * estimate.error
-        return bounded(self.upper / seen) if seen > 0 else MOST_FACTOR
+    def shown(self, estimate: Estimate, sd: float, deviate: float) -> float:
+        """Margin of the upper end of the interval."""
+        return estimate.value + deviate * estimate.error - self.upper
 
     def text(self) -> str:
         """Name of the limited statistic."""
@@ -270,11 +241,6 @@ class WorstCaseWithin(Limits):
         rounding = 1e-12 * max(abs(self.margin(0.0)), abs(estimate.value)) if math.isfinite(estimate.value) else 0.0
         return bool(margin <= rounding)
 
-    def factor(self, estimate: Estimate, samples: int, deviate: float, distance: float) -> float:
-        """The range grows with the half-widths in proportion."""
-        way = float(self.margin(estimate.value)) + distance
-        return bounded(distance / way) if way > 0 else MOST_FACTOR
-
     def hopeless(self, samples: int, confidence: float) -> bool:
         """False: the worst case needs no sample."""
         return False
@@ -320,6 +286,13 @@ class CpkAtLeast(Limits):
         valid = values[units]
         return Pull(units, self.outward(valid.mean()) + 3 * self.cpk * _spread_pull(valid), np.ones(units.size))
 
+    def error(self, values: np.ndarray) -> float:
+        """Spread of what each unit adds to the margin."""
+        valid = values[_valid(values)]
+        if valid.size < 2:
+            return 0.0
+        return float((self.outward(valid.mean()) * valid + 3 * self.cpk * _spread_part(valid)).std())
+
     def figure(self, sampled: Sampled) -> Estimate:
         """Cpk; its error by the delta method from the covariance of mean and sd, for any distribution."""
         return sampled.cpk(self)
@@ -328,9 +301,9 @@ class CpkAtLeast(Limits):
         """The lower end of the interval of Cpk reaches it."""
         return estimate.lower >= self.cpk
 
-    def factor(self, estimate: Estimate, samples: int, deviate: float, distance: float) -> float:
-        """Cpk falls with the half-widths in proportion."""
-        return bounded(estimate.value / (self.cpk + (deviate + CUSHION) * estimate.error))
+    def shown(self, estimate: Estimate, sd: float, deviate: float) -> float:
+        """3 sd (cpk - Cpk) at the lower end of the interval."""
+        return 3 * sd * (self.cpk + deviate * estimate.error - estimate.value)
 
     def text(self) -> str:
         """The least Cpk."""
@@ -341,6 +314,12 @@ def _valid(values: np.ndarray) -> np.ndarray:
     """Numbers of the valid units; none where too many failed, or are infinite, for a statistic of the others."""
     units = np.flatnonzero(np.isfinite(values))
     return units if values.size - units.size <= MOST_FAILED * values.size else units[:0]
+
+
+def _spread_part(valid: np.ndarray) -> np.ndarray:
+    """Part of each valid unit in their standard deviation, whose mean is that of the deviation."""
+    sd = valid.std()
+    return (valid - valid.mean()) ** 2 / (2 * sd) if sd > 0 else np.zeros(valid.size)
 
 
 def _spread_pull(valid: np.ndarray) -> np.ndarray:

@@ -3,8 +3,6 @@
 A new kind of requirement is one class that derives from `Limits`: it defines its margin on a sample, the
 derivative to the responses of the units (allocation), its value with interval (Monte Carlo, certificate) and its
 text. Study files find it by the names of its fields.
-
-Quantiles of margins on a small sample, where the level may lie beyond what the sample holds.
 """
 
 import dataclasses
@@ -17,41 +15,6 @@ from scipy import special
 
 from rvjax.population import Estimate, Sampled, wilson
 from rvjax.records import PyTree
-
-_BEYOND = 8  # units that must lie beyond a sampled quantile; further out the tail is extended as a normal one
-
-
-def tail_quantile(margins: np.ndarray, target: float, distance: float) -> float:
-    """Quantile of the units' margins (n,) at a target, failed ones (inf) above all others.
-
-    A far tail is extended from the nominal response, at `distance` from the limit. Where the unit at the target is
-    infinitely far inside (an infinite life), it counts as the nominal one.
-    """
-    level = _reachable(target, len(margins))
-    rank = (len(margins) - 1) * level
-    low = int(rank)
-    high = min(low + 1, len(margins) - 1)
-    ordered = np.partition(margins, [low, high])
-    a, b = ordered[low], ordered[high]
-    if a == -math.inf:
-        a = b = max(b, -distance)
-    quantile = a + (rank - low) * (b - a) if np.isfinite(b) else b
-    further = special.ndtri((1 + target) / 2) / special.ndtri((1 + level) / 2)
-    return float((quantile + distance) * further - distance)
-
-
-def nearest(margins: np.ndarray, target: float, lanes: int) -> np.ndarray:
-    """Units whose margins are nearest the quantile, by rank among those that did not fail."""
-    order = np.argsort(margins)
-    valid = int((margins < np.inf).sum())
-    start = round(len(margins) * _reachable(target, len(margins))) - lanes // 2
-    start = max(0, min(start, valid - lanes))
-    return order[start : start + lanes]
-
-
-def _reachable(target: float, samples: int) -> float:
-    return min(target, 1 - _BEYOND / samples)
-
 
 Value = TypeVar("Value", float, np.ndarray, jax.Array)
 
@@ -207,10 +170,6 @@ class Limits:
         """Keys of the limits, in the unit of the response; all others are plain numbers."""
         return cls.prefix + "lower", cls.prefix + "upper"
 
-    def distance(self, values: np.ndarray) -> float:
-        """Distance of a sample from the limit if only errors without a cost vary; `values` as for `learned`."""
-        return float(-np.median(np.where(np.isnan(values), np.inf, self.margin(values))))
-
     # Methods that each kind must define.
 
     def learned(self, values: np.ndarray, distance: float) -> float:
@@ -233,6 +192,14 @@ class Limits:
         """
         raise NotImplementedError
 
+    def error(self, values: np.ndarray) -> float:
+        """Standard error of the margin of a statistic, times the root of the number of units; 0 for other limits.
+
+        Args:
+            values: as for `learned`.
+        """
+        return 0.0
+
     def figure(self, sampled: Sampled) -> Estimate:
         """Limited value with its confidence interval."""
         raise NotImplementedError
@@ -241,14 +208,13 @@ class Limits:
         """True if the interval of the value meets the requirement."""
         raise NotImplementedError
 
-    def factor(self, estimate: Estimate, samples: int, deviate: float, distance: float) -> float:
-        """Common factor on all half-widths after which a draw should just hold.
+    def shown(self, estimate: Estimate, sd: float, deviate: float) -> float:
+        """Margin of a statistic as a certificate shows it.
 
         Args:
             estimate: of the current value.
-            samples: units of the draw.
-            deviate: standard normal one of its confidence.
-            distance: as for `learned`.
+            sd: standard deviation of the response.
+            deviate: standard errors of the value that must lie within the limit.
         """
         raise NotImplementedError
 
@@ -276,25 +242,6 @@ class Limits:
         """
         return False
 
-    def aimed_beyond(self, samples: int, deviate: float, confidence: float) -> "Limits":
-        """Requirement with a target beyond what a certificate may see by chance; itself where it has no share.
-
-        Args:
-            samples: of the certificate.
-            deviate: standard errors of the share.
-            confidence: of the certificate.
-        """
-        return self
-
-    def certified_margin(self, values: np.ndarray, deviate: float) -> float:
-        """Margin of the unit at which costly units would just prove a share; inf where none would.
-
-        Args:
-            values: (n,) of independent units, nan where one failed.
-            deviate: standard errors by which the share must exceed the target.
-        """
-        return math.inf
-
     def rarely(self, failing: Estimate, trusted: bool) -> Verdict:
         """The verdict on a probability of failure.
 
@@ -316,10 +263,3 @@ class Limits:
     def text(self) -> str:
         """Text of the requirement, without the limits' numbers."""
         raise NotImplementedError
-
-
-def along_reach(units: np.ndarray, reach: np.ndarray, signs: np.ndarray, wanted: float) -> Pull:
-    """Slopes of units brought from their distance `reach` from the nominal response to `wanted`."""
-    used = np.isfinite(reach) & (reach > 0) & np.isfinite(wanted)
-    reach = np.where(used, reach, 0.0)
-    return Pull(units, np.where(used, signs * reach * (wanted if np.isfinite(wanted) else 0.0), 0.0), reach**2)

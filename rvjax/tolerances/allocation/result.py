@@ -3,9 +3,14 @@
 import dataclasses
 from typing import Any
 
+import numpy as np
+
 from rvjax._ground import frames
 from rvjax.population import Estimate, Population
-from rvjax.tolerances.batch.monte_carlo import Statistics
+from rvjax.tolerances.allocation.decisions import Decisions
+from rvjax.tolerances.batch.statistics import Statistics
+
+_AT = 1e-6  # part of its range, nearer than which a number is at its bound
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,7 +40,7 @@ class Allocation:
         graded: the allocation rounded to grades, with `grades=True`; else None.
         history: one dict per evaluated set: cost, margins {constraint: value}, half_widths {field: value}.
         evaluations: units of the response that were solved by the "search", with a gradient or without, and for
-            "certificates".
+            "certificates"; units of the last "sample" of the search.
         values: {variable: number of the design}.
         bounds_active: {variable: "lower" or "upper" where it is at a bound, else None}.
         value_prices: {variable: d cost / d bound of the bound at which it is, else 0}.
@@ -53,6 +58,7 @@ class Allocation:
             there, and the `units` of the sample. Empty where there was one start only.
         multiplier_intervals: {requirement: interval of its multiplier at the confidence of the certificate} where
             units are costly: the sampling error of the units that the search solved.
+        curve: (least yield of a requirement, cost) of the `yields` that were asked for, ascending.
     """
 
     feasible: bool
@@ -83,6 +89,7 @@ class Allocation:
     helps: tuple[str, str] | None = None
     starts: list[dict[str, Any]] = dataclasses.field(default_factory=list)
     multiplier_intervals: dict[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
+    curve: list[tuple[float, float]] = dataclasses.field(default_factory=list)
 
     def to_pandas(self) -> Any:
         """A `pandas.DataFrame`, SI: limits, half-width, cost and grade of each field that has a cost."""
@@ -99,3 +106,19 @@ class Allocation:
             for name, half_width in self.half_widths.items()
         ]
         return frames.tidy(rows, ["field"])
+
+
+def bounds_active(decisions: Decisions, x: np.ndarray) -> dict[str, str | None]:
+    """The bound at which each number of the design is, or None.
+
+    Args:
+        decisions: of the vector.
+        x: (n,) the vector.
+    """
+    values, active = decisions.values(x), dict[str, str | None]()
+    for name, item in decisions.variables.items():
+        near = _AT * (item.upper - item.lower)
+        at_lower, at_upper = values[name] <= item.lower + near, values[name] >= item.upper - near
+        free = name in decisions.free and not item.among
+        active[name] = ("lower" if at_lower else "upper" if at_upper else None) if free else None
+    return active

@@ -5,13 +5,16 @@ A new cost function is one class: `@record class Mine(Cost)` with `name`, its pa
 """
 
 import dataclasses
+import functools
 import math
-from typing import ClassVar
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.records import IN_ERROR_UNIT, Array, Record, Scalar, concrete, field, record
+from rvjax.records import IN_ERROR_UNIT, Array, Record, Scalar, concrete, field, promote, record
 
 COSTS: dict[str, type["Cost"]] = {}
 """Cost functions by their names in study files."""
@@ -117,3 +120,55 @@ class Table(Cost):
             raise ValueError(f"Table.half_widths = {np.asarray(self.half_widths)}: must ascend")
         if not np.all(np.diff(self.costs) < 0):
             raise ValueError(f"Table.costs = {np.asarray(self.costs)}: must fall as the half-width grows")
+
+
+class Costs:
+    """Costs of several fields, by one program for all fields of a kind."""
+
+    def __init__(self, costs: Sequence[Cost]) -> None:
+        leaves, self._tree = jax.tree.flatten(tuple(costs))
+        self._leaves = jax.device_put(leaves)  # flat: records take as long to flatten as all the rest of a call
+
+    def at(self, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Costs (j,), their first and second derivatives (j,) to the logarithms (j,) of the half-widths."""
+        if not len(logs):
+            return logs, logs, logs
+        found, slopes, bends = jax.device_get(_along(self._tree, logs, *self._leaves))
+        return np.asarray(found, float), np.asarray(slopes, float), np.asarray(bends, float)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _along(tree: Any, logs: jax.Array, *leaves: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    each, ones = _each(jax.tree.unflatten(tree, leaves)), jnp.ones_like(logs)
+
+    def slopes(x: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return jax.jvp(lambda x: each(jnp.exp(x)), (x,), (ones,))
+
+    (found, first), (_, second) = jax.jvp(slopes, (logs,), (ones,))
+    return found, first, second
+
+
+@jax.jit
+def total_cost(costs: tuple[Cost, ...], half_widths: jax.Array) -> jax.Array:
+    """Sum of the costs of all fields."""
+    return jnp.sum(_each(costs)(half_widths))
+
+
+def _each(costs: tuple[Any, ...]) -> Callable[[jax.Array], jax.Array]:
+    """Costs (j,) of half-widths (j,); costs of one kind are stacked, so that many fields stay a few operations."""
+    kinds: dict[Any, list[int]] = {}
+    for j, cost in enumerate(costs):
+        shapes = tuple(jnp.shape(leaf) for leaf in jax.tree.leaves(cost))
+        kinds.setdefault((type(cost), shapes), []).append(j)
+    groups = [(np.array(js), promote(*(costs[j] for j in js))) for js in kinds.values()]
+    stacks = [
+        (js, jax.tree.map(lambda *leaves: jnp.stack(leaves), *([same] if len(js) == 1 else same)))
+        for js, same in groups
+    ]
+    order = np.argsort(np.concatenate([js for js, _ in stacks]))
+
+    def each(half_widths: jax.Array) -> jax.Array:
+        parts = [jax.vmap(lambda cost, t: cost(t))(stack, half_widths[js]) for js, stack in stacks]
+        return jnp.concatenate(parts)[order]
+
+    return each

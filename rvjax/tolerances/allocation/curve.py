@@ -5,24 +5,12 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from rvjax._ground.choices import choose
 from rvjax._jax.arguments import checked
-from rvjax.population import Population
 from rvjax.response import Response
-from rvjax.tolerances.allocating import Solved, allocate, block
-from rvjax.tolerances.batch.memo import Memo
-from rvjax.tolerances.batch.monte_carlo import Run, Statistics
-from rvjax.tolerances.optimum.cost import Cost
-from rvjax.tolerances.optimum.result import Allocation
-from rvjax.tolerances.optimum.sample_average import Training
-from rvjax.tolerances.optimum.search import NOISE, Search
+from rvjax.tolerances.allocation.allocate import allocate
+from rvjax.tolerances.allocation.result import Allocation
 from rvjax.tolerances.requirements.limits import Limits
-
-_DRAWN_TO = 0.01  # part of a cost, or of the way to a limit, to which a point of costly units is searched
-_WRONG = 0.5  # costly units on the wrong side of a limit, in standard errors of the number beyond it
-_STEPS = 30  # sets of half-widths that a search for one yield looks at, at most
 
 
 @dataclasses.dataclass(frozen=True)
@@ -135,75 +123,3 @@ def _price(allocation: Allocation, of: str | None) -> float:
         name = next(iter(allocation.certificate.verdicts)) if of is None else of
         return float(allocation.multipliers[name])
     return float(allocation.multipliers)
-
-
-def cost_of_yields(
-    response: Response,
-    tolerances: Any,
-    requirements: dict[str, Limits],
-    *,
-    costs: dict[str, Cost],
-    targets: Sequence[float],
-    samples: int,
-    seed: int,
-    units: int,
-    memo: Memo | None = None,
-    solved: Solved | None = None,
-) -> list[tuple[float, float]]:
-    """Cost of other targets, one search each: (least yield of a requirement, cost) of its result.
-
-    Nothing is certified: the yield is measured on independent units, for any target.
-
-    Args:
-        response: pure function of the errors of one unit; a dict of scalars, or an `Outcome` of these.
-        tolerances: record or dict with a `Tolerance` or None in each field; where the first search starts.
-        requirements: by name of the response.
-        costs: by field.
-        targets: of all shares of units, in any order. Searches go away from the targets of the requirements, each from
-            the last result: units move least, and so fewest are solved again.
-        samples: units to learn from.
-        seed: of these units; the fresh ones have the one after it.
-        units: fresh ones behind each yield.
-        memo: keeps what took long to compute.
-        solved: units of the allocation whose tolerances these are, if they are costly; they serve here too.
-    """
-    population, points = Population.of(tolerances), []
-    priced = {name: costs[name] for name in population.active if name in costs}
-    start = np.array([float(population.active[name].half_width) for name in priced])
-    start = start if solved is None or solved.learned is None else solved.learned
-    goal = min(float(getattr(item, item.goal)) for item in requirements.values() if item.goal == "target")
-    for side in (sorted((x for x in targets if x < goal), reverse=True), sorted(x for x in targets if x >= goal)):
-        t, before = start, None if solved is None else solved.training
-        for target in side:
-            required = _moved(requirements, "target", None, target)
-            if before is not None:
-                before = training = before.aimed(required, t, math.inf)
-            else:
-                training = Training(response, population, tuple(priced), required, None, samples, seed, memo)
-            search = Search(training, priced, _STEPS)
-            if solved is not None:
-                search.settled, search.gain = _DRAWN_TO, _DRAWN_TO
-            point = search.begin(t)
-            training.wrong = _wrong(target, samples)
-            point, _ = search.run(point)
-            if not (point.margins <= NOISE * training.distance).all():
-                continue
-            t = point.half_widths
-            made = training.with_half_widths(t)
-            if solved is not None:
-                fresh = solved.certifier.draw(made, wrong=_wrong(target, solved.certifier.run.samples), alone=True)
-            else:
-                drawn = units, seed + 1, block(samples, units)
-                fresh = Run(response, made, training.names, required, *drawn, memo=memo).statistics()
-            points.append((least_yield(fresh), search.cost(t)))
-    return points
-
-
-def _wrong(target: float, units: int) -> float:
-    """Units on the wrong side of a limit that change a yield of some units little."""
-    return _WRONG * math.sqrt(units * target * (1 - target))
-
-
-def least_yield(statistics: Statistics) -> float:
-    """The least share of units that keeps one requirement; a study without any has no curve."""
-    return min(verdict.estimate.value for verdict in statistics.verdicts.values() if verdict.kind == "share")

@@ -6,16 +6,14 @@ something is two entries, one for each way, because its cost has a corner at the
 
 from collections.abc import Mapping
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from rvjax.population import Population, Tolerance
-from rvjax.tolerances.optimum.conlin import total_cost
-from rvjax.tolerances.optimum.cost import Cost
-from rvjax.tolerances.optimum.variable import Middle, Variable
+from rvjax.tolerances.allocation.cost import Cost, Costs
+from rvjax.tolerances.allocation.variable import Middle, Variable
 
-_STEP = 1e-4  # of differences of a cost, logarithm of a half-width or part of a range
+_STEP = 1e-4  # of differences of a cost, part of a range
+_NOTHING = 1e-9  # of a half-width
 _SAME = 1e-9  # part of a range that is rounding
 _REACH = 0.3  # of a step in a mid-point or a number, where that of a half-width is 1
 
@@ -47,6 +45,7 @@ class Decisions:
                 item, origin = self.middles[name], self._origin(name)
                 self.high[k] = ((item.upper - origin) if way > 0 else (origin - item.lower)) / (item.upper - item.lower)
         self.reach = np.concatenate([np.ones(len(self.fields)), np.full(count, _REACH)])
+        self._costs = Costs(list(priced.values()))
         self._latest = b"", population
 
     @property
@@ -122,6 +121,12 @@ class Decisions:
             self._latest = x.tobytes(), self._population(x)
         return self._latest[1]
 
+    def without_errors(self, x: np.ndarray) -> Population:
+        """Units with these mid-points and numbers, whose priced errors are next to nothing."""
+        there = self.population(x)
+        widths = self.half_widths(x)
+        return there.with_half_widths({name: _NOTHING * t for name, t in zip(self.fields, map(float, widths))})
+
     def _population(self, x: np.ndarray) -> Population:
         moved = {n: _moved(self.base.active[n], m - self.given[n]) for n, m in self.middles_at(x).items()}
         widths = dict(zip(self.fields, map(float, self.half_widths(x))))
@@ -134,42 +139,41 @@ class Decisions:
         """Cost of moving mid-points."""
         return sum(m.scale * abs(self.middles_at(x)[name] - self.given[name]) for name, m in self.middles.items())
 
-    def cost(self, x: np.ndarray) -> float:
-        """Cost of half-widths, of mid-points that moved and of numbers of the design."""
-        own = sum(self.variables[name].own_cost(value) for name, value in self.values(x).items())
-        return self.widths_cost(x) + self.moving(x) + own
+    @property
+    def start(self) -> np.ndarray:
+        """The given tolerances and numbers, within the bounds."""
+        given = np.array([float(self.base.active[name].half_width) for name in self.fields])
+        return self.vector(given, {name: item.first for name, item in self.variables.items()})
 
-    def widths_cost(self, x: np.ndarray) -> float:
-        """Cost of the half-widths."""
-        if not self.fields:
-            return 0.0
-        return float(total_cost(tuple(self.priced.values()), self.half_widths(x)))
+    def cost_of(self, half_widths: np.ndarray, x: np.ndarray) -> float:
+        """Cost of half-widths (j,), which may leave their range, with the other decisions of a vector."""
+        with np.errstate(divide="ignore"):
+            given, own = (float(self._costs.at(logs)[0].sum()) for logs in (np.log(half_widths), x[: len(self.fields)]))
+        return self.cost(x)[0] + given - own
 
-    def cost_slopes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives (n,) of the cost, and its curvatures (n,)."""
-        slopes, bends = np.zeros(self.size), np.zeros(self.size)
-        for j, cost in enumerate(self.priced.values()):
-            slopes[j], bends[j] = (float(v) for v in _along(cost, float(x[j])))
-        for k, (name, _) in enumerate(self.moves, len(self.fields)):
-            slopes[k] = self.middles[name].scale * (self.middles[name].upper - self.middles[name].lower)
-        for k, name in enumerate(self.free, len(self.fields) + len(self.moves)):
-            item, part = self.variables[name], float(x[k])
-            if item.cost is None:
-                continue
-            at = min(max(part, _STEP), 1 - _STEP)
-            low, here, high = (
-                item.own_cost(item.lower + p * (item.upper - item.lower)) for p in (at - _STEP, at, at + _STEP)
-            )
-            bends[k] = (high - 2 * here + low) / _STEP**2
-            slopes[k] = (high - low) / (2 * _STEP) + bends[k] * (part - at)
-        return slopes, bends
+    def costs(self, x: np.ndarray) -> dict[str, float]:
+        """Cost of each half-width."""
+        return dict(zip(self.fields, map(float, self._costs.at(np.log(self.half_widths(x)))[0])))
 
-
-@jax.jit
-def _along(cost: Cost, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """First and second derivative of a cost to the logarithm of the half-width."""
-    slope = jax.grad(lambda x: cost(jnp.exp(x)))
-    return slope(x), jax.grad(slope)(x)
+    def cost(self, x: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """Cost of half-widths, moved mid-points and numbers of the design, its first and second derivatives (n,)."""
+        slopes, bends, count = np.zeros(self.size), np.zeros(self.size), len(self.fields)
+        each, slopes[:count], bends[:count] = self._costs.at(x[:count])
+        total = float(each.sum())
+        for k, (name, _) in enumerate(self.moves, count):
+            span = self.middles[name].upper - self.middles[name].lower
+            slopes[k] = self.middles[name].scale * span
+        total += sum(m.scale * abs(self.middles_at(x)[name] - self.given[name]) for name, m in self.middles.items())
+        for k, name in enumerate(self.free, count + len(self.moves)):
+            item, part = self.variables[name], min(max(float(x[k]), 0.0), 1.0)
+            if item.cost is not None:
+                own = lambda p: item.own_cost(item.lower + p * (item.upper - item.lower))  # noqa: B023, E731
+                at = min(max(part, _STEP), 1 - _STEP)
+                before, here, after = own(at - _STEP), own(at), own(at + _STEP)
+                bends[k] = (after - 2 * here + before) / _STEP**2
+                slopes[k] = (after - before) / (2 * _STEP) + bends[k] * (part - at)
+        own_costs = sum(self.variables[name].own_cost(value) for name, value in self.values(x).items())
+        return total + own_costs, slopes, bends
 
 
 def _moved(tolerance: Tolerance, by: float) -> Tolerance:

@@ -10,13 +10,11 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from rvjax.tolerances.optimum.decisions import Decisions
-from rvjax.tolerances.optimum.programme import End
+from rvjax.tolerances.allocation.decisions import Decisions
+from rvjax.tolerances.allocation.programme import End
 
 _ALL = 27  # combinations that are all tried
 _ROUNDED = 32  # combinations of neighbours, at most
-_RIVALS = 3  # combinations that are searched again with their own units, at most
-_DEARER = 0.01  # than the cheapest, beyond which one is no rival
 
 Places = tuple[int, ...]
 
@@ -71,8 +69,8 @@ class Lists:
 
     def cheapest(
         self, x: np.ndarray, solve: Callable[[Places], End], worth: Callable[[End], tuple[bool, float]]
-    ) -> list[Places]:
-        """The best combinations, the cheapest first; `worth` puts ends in order."""
+    ) -> Places:
+        """The best combination; `worth` puts ends in order."""
         ends: dict[Places, tuple[bool, float]] = {}
 
         def tried(places: Places) -> tuple[bool, float]:
@@ -85,7 +83,4 @@ class Lists:
         while better is not None:
             better = next((p for p in self.exchanges(best) if p not in ends and tried(p) < ends[best]), None)
             best = better or best
-        ranked = sorted(ends, key=lambda places: ends[places])
-        broken, least = ends[best]
-        limit = least + _DEARER * abs(least)
-        return [p for p in ranked if ends[p][0] == broken and ends[p][1] <= limit][:_RIVALS]
+        return best

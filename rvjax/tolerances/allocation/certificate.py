@@ -1,0 +1,132 @@
+"""Certificate: independent random units decide whether a vector of decisions meets the requirements.
+
+All certificates of a search are of one sample. Tighter and looser vectors are tested on it, and the loosest that holds
+counts: its share can be wrong only if the sample already errs at the vector whose true share is the target.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from rvjax.population import Population, deviate_of, wilson
+from rvjax.response import PLAIN
+from rvjax.tolerances.allocation.constraints import FAILED, Constraints, Look
+from rvjax.tolerances.allocation.problem import SPARE, Problem
+from rvjax.tolerances.batch.statistics import Statistics
+from rvjax.tolerances.failure.failure import failure_probability
+from rvjax.tolerances.requirements.limits import Limits, Verdict
+
+_RARE = 20_000, 200_000  # units behind a probability of failure
+_EXPECTED = 200  # rejects in a certificate of quick units, below which a probability of failure is more accurate
+_TRUSTED = {"OK", "SEVERAL_POINTS", "KINKED_POINT", "RARE_NOMINAL"}  # all but OK concern the reliability index alone
+_CLOSE = 0.9  # part of the rejects of a target that a probability of failure may show at first
+_MOST = 4.0  # factor on the wanted rejects by one certificate
+_NEAR = 0.95  # used way below which a limit that holds does not decide
+
+
+class Certifier:
+    """Certificates of one search."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem, self.run, self.drawn = problem, problem.run, 0
+        self.solved = 0
+        """Units solved so far."""
+
+    def draw(self, population: Population) -> Statistics:
+        """Statistics of independent units; a target beyond their resolution uses a probability of failure."""
+        self.drawn += 1
+        self.solved += self.run.samples
+        found = dataclasses.replace(self.run, population=population).statistics()
+        return dataclasses.replace(found, verdicts=found.verdicts | self._rare(population)) if found.verdicts else found
+
+    def holds(self, statistics: Statistics) -> bool:
+        """True if every requirement is met for certain, and the joint target if there is one."""
+        met, wanted = all(verdict.met for verdict in (statistics.verdicts or {}).values()), self._problem.joint_target
+        joint = statistics.joint_yield
+        return met and (wanted is None or (joint is not None and joint.lower >= wanted))
+
+    def hopeless(self) -> bool:
+        """True if not even a sample without rejects could certify every target."""
+        n, confidence = self.run.samples, self.run.confidence
+        alone = any(item.hopeless(n, confidence) for item in self.run.requirements.values())
+        return alone or wilson(n, n, confidence).lower < (self._problem.joint_target or 0.0)
+
+    def rare(self, item: Limits) -> bool:
+        """True if a probability of failure certifies a limit."""
+        n, target = self.run.samples, getattr(item, "target", 0.0)
+        few = not self._problem.costly and item.of_shares and n * (1 - target) < _EXPECTED
+        return few or item.beyond(n, self.run.confidence)
+
+    def wanted(self, constraints: Constraints, k: int) -> float:
+        """Share of rejects that a certificate may show of a row on a share.
+
+        Args:
+            constraints: of the search.
+            k: number of the row.
+        """
+        item, target = constraints.rows[k].item, constraints.target(k)
+        return (
+            _CLOSE * target
+            if item is not None and self.rare(item)
+            else self._problem.shown(1 - target, self.run.samples)
+        )
+
+    def _rare(self, population: Population) -> dict[str, Verdict]:
+        """Verdicts on the targets that the units of a certificate are too few for."""
+        n, confidence, verdicts = self.run.samples, self.run.confidence, {}
+        for name, item in self.run.requirements.items():
+            if not self.rare(item):
+                continue
+            count = min(max(n, _RARE[0]), _RARE[1])
+            found = failure_probability(self.run.response, population, {name: item}, samples=count, seed=self.run.seed)
+            of: Callable[[Any], Any] = lambda figure: figure if name == PLAIN else figure[name]  # noqa: B023, E731
+            failing, trusted = of(found.probability), set(of(found.status).split(", ")) <= _TRUSTED
+            if not trusted and not item.beyond(n, confidence):
+                continue
+            if failing.value > 0:  # its interval is one of 95 %
+                wider = (failing.upper / failing.value) ** (deviate_of(confidence) / deviate_of(0.95))
+                failing = dataclasses.replace(
+                    failing, lower=failing.value / wider, upper=min(1.0, failing.value * wider)
+                )
+            verdicts[name] = item.rarely(failing, trusted)
+        return verdicts
+
+    def corrected(
+        self, constraints: Constraints, look: Look, seen: Statistics, reached: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Wanted rejects (c,) and corrections of used ways (c,) with which these units would just show every limit.
+
+        Args:
+            constraints: of the search.
+            look: at the end of the search.
+            seen: the certificate of this end.
+            reached: wanted rejects (c,) with which the sample would just meet each limit there.
+        """
+        rejects, moved, n = constraints.rejects.copy(), constraints.moved.copy(), self.run.samples
+        deviate = deviate_of(self.run.confidence)
+        for k, row in enumerate(constraints.rows):
+            if row.exact:
+                continue
+            if row.name == FAILED and row.item is None:
+                assert constraints.most_failed is not None
+                upper = wilson(seen.failed, n, self.run.confidence).upper
+                moved[k] += upper / constraints.most_failed - look.used[k]
+                continue
+            verdict = (seen.verdicts or {}).get(row.name)
+            figure = seen.joint_yield if row.item is None else verdict and verdict.estimate
+            if figure is None or (look.used[k] < _NEAR and (verdict is None or verdict.met)):
+                continue
+            if not row.share:
+                assert row.item is not None
+                shown = row.item.shown(figure, seen.sd[row.name].value, deviate + SPARE)
+                moved[k] += float(np.clip(shown / constraints.ways[k] - look.used[k] + 1, -0.5, 0.5))
+                continue
+            shown, wanted = max(1 - figure.value, 0.5 / n), self.wanted(constraints, k)
+            if row.item is not None and self.rare(row.item):
+                shown = max(1 - figure.value, 1e-3 * constraints.target(k))
+                wanted = constraints.target(k) / (1 + (deviate + SPARE) * figure.error / shown)
+            ratio = reached[k] / rejects[k] * wanted / shown
+            rejects[k] = min(rejects[k] * float(np.clip(ratio, 1 / _MOST, _MOST)), 0.5)
+        return rejects, moved

@@ -1,0 +1,456 @@
+"""Constraints of an allocation at one vector of decisions: used ways of all limits and their derivatives.
+
+The used way of a limit is r = 1 + q/W: q is how far the quantile of the units at the wanted share lies beyond the limit
+(a statistic or an output without errors in its place), W the way from the median to the limit. r <= 1 is met. Squares
+of the used ways are nearly linear in the squares of the half-widths, because variances add.
+"""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from scipy import special
+
+from rvjax._jax.blocks import PULLED
+from rvjax.population import first_points
+from rvjax.response import response_names
+from rvjax.tolerances.allocation.decisions import Decisions
+from rvjax.tolerances.allocation.nominal import NominalOutputs
+from rvjax.tolerances.allocation.problem import Problem
+from rvjax.tolerances.allocation.sample import Units, Values
+from rvjax.tolerances.allocation.tails import Centres, Quantile, TailSample, centres_of, quantile
+from rvjax.tolerances.requirements.limits import Limits
+from rvjax.tolerances.worst_case import Extremes, extremes
+
+JOINT, FAILED = "joint", "failed"
+"""Names of the constraints on units that meet all limits, and on failed units, which statistics of others exclude."""
+
+FEW = 512
+"""Units of the first look, and of a part of the response that does not decide."""
+
+SPARE = 0.85
+"""Used way below which a limit does not decide."""
+
+_QUARTER = 4  # times as many quick units as are behind a slope
+_BEHIND = 24  # costly units behind the slope of a quantile, and two for each reject
+_STATISTIC = 1024  # costly units behind the slope of a statistic
+_HALVINGS = 16  # of a factor of 100: an error of 1e-4
+_STEP = 1e-4  # of differences of a worst case, part of a range
+_INSET = 1e-6  # of the way of a limit without sampling error, above what rounding leaves
+_SMALL = 1e-3  # way of a limit in parts of the spread, where the median lies beyond it
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """One constraint: a requirement, one side of it, or a share of units of several requirements.
+
+    Attributes:
+        name: of the response, `JOINT` or `FAILED`.
+        item: the limits; None for these two.
+        share: True for a share of units.
+    """
+
+    name: str
+    item: Limits | None
+    share: bool = False
+
+    @property
+    def exact(self) -> bool:
+        """True if no sampling error changes it."""
+        return self.item is not None and self.item.exact
+
+    @property
+    def nominal(self) -> bool:
+        """True if it limits an output without errors."""
+        return self.item is not None and not self.item.of_sample
+
+    @property
+    def power(self) -> float:
+        """Power of the used way that is linear in powers of half-widths."""
+        return 1.0 if self.exact or (self.item is None and not self.share) else 2.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Look:
+    """What was seen at one vector of decisions.
+
+    Attributes:
+        x: (n,) the vector.
+        cost: of half-widths, moved mid-points and numbers.
+        slopes: (n,) its derivatives.
+        priced: priced outputs without errors.
+        priced_slopes: (n,) their derivatives.
+        loss: mean loss.
+        loss_slopes: (n,) its derivatives.
+        used: (c,) used ways, inf where too many units fail.
+        jacobian: (c, n) their derivatives.
+        powers: (c,) of the used ways.
+    """
+
+    x: np.ndarray
+    cost: float
+    slopes: np.ndarray
+    priced: float
+    priced_slopes: np.ndarray
+    loss: float
+    loss_slopes: np.ndarray
+    used: np.ndarray
+    jacobian: np.ndarray
+    powers: np.ndarray
+
+    @property
+    def total(self) -> float:
+        """What the search minimises."""
+        return self.cost + self.priced + self.loss
+
+    @property
+    def pull(self) -> np.ndarray:
+        """Derivatives (n,) of `total`."""
+        return self.slopes + self.priced_slopes + self.loss_slopes
+
+    @property
+    def excess(self) -> float:
+        """Largest excess over a limit, in parts of its way; negative where all are met."""
+        return float((self.used - 1).max(initial=-np.inf))
+
+
+class Constraints:
+    """Constraints of a problem on a sample of units."""
+
+    def __init__(self, problem: Problem, decisions: Decisions) -> None:
+        self.problem, self.decisions = problem, decisions
+        required = problem.requirements
+        self.rows = [Row(name, item, True) for name, item in required.items() if item.of_shares]
+        for name, item in required.items():
+            if not item.of_shares:
+                self.rows += [Row(name, side) for side in _sides(item)]
+        self.most_failed = min((i.most_failed for i in required.values() if i.most_failed < 1), default=None)
+        self.rows += [Row(FAILED, None)] if self.most_failed is not None else []
+        self.rows += [Row(JOINT, None, True)] if problem.joint_target is not None else []
+        wanted = {n for n, i in required.items() if i.of_sample} | set(problem.losses)
+        self.units = Units(problem.response, decisions, wanted, problem.memo)
+        self._names = response_names(problem.response, decisions.base)
+        outputs = {n for n, item in required.items() if not item.of_sample} | set(problem.objective)
+        self._nominal = NominalOutputs(problem.response, tuple(sorted(outputs)))
+        self.ways = np.ones(len(self.rows))
+        self.moved = np.array([_INSET if row.exact else 0.0 for row in self.rows])
+        """Corrections (c,) of the used ways that are no quantiles."""
+        self.rejects = np.array([self.target(k) for k in range(len(self.rows))])
+        """Share of units (c,) that may lie beyond each limit on the sample; 0 where no share is limited."""
+        self.aside: frozenset[str] = frozenset()
+        self.sample(FEW if problem.costly else problem.sample)
+
+    def target(self, k: int) -> float:
+        """Share of units that a row lets lie beyond its limit; 0 where it limits no share."""
+        row = self.rows[k]
+        if not row.share:
+            return 0.0
+        joint = self.problem.joint_target
+        return 1 - float(getattr(row.item, "target", joint if joint is not None else 0.0))
+
+    # The sample.
+
+    def sample(self, count: int) -> None:
+        """Take so many plain units; fewer ones are among them."""
+        numbers = self.decisions.base.numbers
+        plain = first_points(numbers, self.problem.seed, count) if self.units.parts else np.zeros((numbers, 0))
+        self.plain, self.tails = plain, TailSample(plain, self.problem.seed)
+        self.count = count
+
+    def begin(self, x: np.ndarray) -> None:
+        """Measure the way of each limit: of the median to it, without priced errors or at the start."""
+        free = self.decisions.without_errors(x)
+        values = [self.units.values(p, self.plain) for p in (free, self.decisions.population(x))]
+        outputs, _ = self._nominal.at(self.decisions.population(x))
+        for k, row in enumerate(self.rows):
+            if row.item is None:
+                continue
+            if row.nominal:
+                self.ways[k] = _size(row.item) or abs(outputs[row.name]) or 1.0
+                continue
+            if not row.item.limits_values:
+                self.ways[k] = row.item.upper
+                continue
+            ways = [self._inside(row.item, found[row.name]) for found in values]
+            finite = values[1][row.name][np.isfinite(values[1][row.name])]
+            spread = float(finite.std()) if len(finite) else 0.0
+            least = _SMALL * spread or 1e-12 * _size(row.item) or 1e-300
+            self.ways[k] = max(*ways, least) if max(ways) > 0 else max(spread, -max(ways), least)
+
+    @staticmethod
+    def _inside(item: Limits, values: np.ndarray) -> float:
+        """Distance of the median inside the limits."""
+        found = -float(np.median(item.margin(values[~np.isnan(values)]))) if not np.isnan(values).all() else -math.inf
+        return found if math.isfinite(found) else -math.inf
+
+    def place(self, x: np.ndarray) -> None:
+        """Put quick units into the tails that decide at a vector."""
+        if self.problem.costly or not self.units.parts:
+            return
+        values, found = self._tails(x), list[Centres]()
+        for k, row in enumerate(self.rows):
+            if not row.share:
+                continue
+            margins, outward = self._margins(k, values)
+            seen = self._quantile(k, margins)
+            units = seen.units[np.argsort(-seen.weights, kind="stable")][:PULLED]
+            if not len(units) or not math.isfinite(seen.level):
+                continue
+            pulled = {name: pull[units] for name, pull in outward.items()}
+            z = self.tails.z[:, units]
+            slopes = self.units.slopes_to_z(self.decisions.population(x), z, pulled)
+            near = np.abs(margins[units] - seen.level)
+            weights = self.tails.weights[units] / (near + np.median(near) + 1e-300)
+            least = -float(special.ndtri(max(self.rejects[k], 1e-12)))
+            placed = centres_of(z, slopes, weights, max(least, 0.25))
+            found += [placed] if len(placed.places) else []
+        if found:
+            self.tails = TailSample(self.plain, self.problem.seed, Centres.joined(found))
+
+    def spare(self, look: Look) -> None:
+        """Look at few costly units of responses whose limits do not decide."""
+        if not self.problem.costly or self.problem.joint_target is not None:
+            return
+        near = {row.name for k, row in enumerate(self.rows) if row.item is not None and look.used[k] > SPARE}
+        shares = {row.name for row in self.rows if row.share}
+        self.aside = frozenset(shares - near - set(self.problem.losses))
+
+    def _tails(self, x: np.ndarray) -> Values:
+        return self.units.values(self.decisions.population(x), self.tails.z, self.aside, FEW)
+
+    # Used ways.
+
+    def look(self, x: np.ndarray, *, sloped: bool = True) -> Look:
+        """Cost and used ways at a vector; `sloped` False: without derivatives of the units."""
+        decisions, n = self.decisions, self.decisions.size
+        used, jacobian = np.zeros(len(self.rows)), np.zeros((len(self.rows), n))
+        tails = self._tails(x) if any(row.share for row in self.rows) else {}
+        nominal, rates, priced, towards = self.nominal(x)
+        for k, row in enumerate(self.rows):
+            if row.nominal:
+                used[k], jacobian[k] = nominal[k], rates[k]
+            elif row.share:
+                margins, outward = self._margins(k, tails)
+                seen = self._quantile(k, margins)
+                used[k] = 1 + seen.level / self.ways[k]
+                if sloped and len(seen.units) and math.isfinite(seen.level):
+                    pulled = {name: pull[seen.units] * seen.weights for name, pull in outward.items()}
+                    jacobian[k] = self.units.slope(x, self.tails.z[:, seen.units], pulled) / self.ways[k]
+                    jacobian[k, : len(decisions.fields)] *= seen.ratio
+            elif row.exact:
+                used[k], jacobian[k] = self._worst_case(row, x)
+            else:
+                used[k], jacobian[k] = self._statistic(k, x, sloped)
+            used[k] += 0.0 if row.nominal else self.moved[k]
+        cost, slopes, _ = decisions.cost(x)
+        loss, pull = self._loss(x, sloped)
+        powers = np.array([row.power for row in self.rows])
+        return Look(x, cost, slopes, priced, towards, loss, pull, used, jacobian, powers)
+
+    def nominal(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
+        """Used ways (c,) of limits without errors, their derivatives (c, n), priced outputs and their derivatives."""
+        decisions, outward = self.decisions, np.zeros((len(self.rows), self.decisions.size))
+        outputs, rates = self._nominal.at(decisions.population(x))
+        used = np.zeros(len(self.rows))
+        for k, row in enumerate(self.rows):
+            if row.nominal and row.item is not None:
+                value = outputs[row.name]
+                used[k] = 1 + float(row.item.margin(value)) / self.ways[k] if math.isfinite(value) else math.inf
+                used[k] += self.moved[k]
+                outward[k] = float(row.item.outward(np.array(value))) * decisions.by_number(rates[row.name])
+                outward[k] /= self.ways[k]
+        priced = sum(price * outputs[name] for name, price in self.problem.objective.items())
+        towards = sum(
+            (p * decisions.by_number(rates[name]) for name, p in self.problem.objective.items()),
+            np.zeros(decisions.size),
+        )
+        return used, outward, float(priced), towards
+
+    def missed(self, look: Look) -> float:
+        """Largest excess over a limit without sampling error."""
+        over = [look.used[k] - self.moved[k] - 1 for k, row in enumerate(self.rows) if row.exact]
+        return float(max(over, default=-math.inf))
+
+    def quantiles(self, x: np.ndarray, rejects: np.ndarray) -> np.ndarray:
+        """Used ways (c,) of shares at a vector, if so many units (c,) may lie beyond; 0 elsewhere."""
+        values = self._tails(x) if any(row.share for row in self.rows) else {}
+        found = np.zeros(len(self.rows))
+        for k, row in enumerate(self.rows):
+            if row.share:
+                level = self._quantile(k, self._margins(k, values)[0], rejects[k]).level
+                found[k] = 1 + level / self.ways[k]
+        return found
+
+    def beyond(self, x: np.ndarray, scale: float = 1.0) -> np.ndarray:
+        """Share of units (c,) of the sample beyond each limit at a vector; 0 where no share is limited.
+
+        Args:
+            x: the vector.
+            scale: factor on its half-widths, which may leave their range.
+        """
+        population, found = self.decisions.population(x), np.zeros(len(self.rows))
+        if scale != 1:
+            widths = zip(self.decisions.fields, map(float, self.decisions.half_widths(x)))
+            population = population.with_half_widths({name: scale * t for name, t in widths})
+        values = self.units.values(population, self.tails.z, self.aside, FEW)
+        for k, row in enumerate(self.rows):
+            if row.share:
+                margins = self._margins(k, values)[0]
+                weights = self.tails.weights[: len(margins)]
+                found[k] = float(weights[margins > 0].sum() / weights.sum())
+        return found
+
+    def reached(self, look: Look) -> np.ndarray:
+        """Wanted rejects (c,) with which each limit would be just met at a look; those of now where none would."""
+        values, found = self._tails(look.x), self.rejects.copy()
+        for k, row in enumerate(self.rows):
+            if not row.share or not math.isfinite(look.used[k]):
+                continue
+            margins = self._margins(k, values)[0]
+            low, high = math.log(self.rejects[k] / 10), math.log(min(10 * self.rejects[k], 0.5))
+            for _ in range(_HALVINGS):
+                at = (low + high) / 2
+                low, high = (at, high) if self._quantile(k, margins, math.exp(at)).level > 0 else (low, at)
+            found[k] = math.exp((low + high) / 2)
+        return found
+
+    def limits(self) -> np.ndarray:
+        """Sizes (c,) of the limits, unit of each response; the way of a limit that is 0."""
+        found = [(row.item and _size(row.item)) or float(way) for row, way in zip(self.rows, self.ways)]
+        return np.array(found)
+
+    def without_groups(self, look: Look, count: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Used ways (c,) of shares and their derivatives (c, n) at a look without one group of the units, for each.
+
+        Args:
+            look: whose other rows stay.
+            count: of the groups.
+        """
+        values = self._tails(look.x) if any(row.share for row in self.rows) else {}
+        seen = []
+        for k, row in enumerate(self.rows):
+            if row.share and math.isfinite(look.used[k]):
+                margins, outward = self._margins(k, values)
+                units = self._quantile(k, margins).units
+                pulled = {name: pull[units] for name, pull in outward.items()}
+                rates = self.units.slopes(look.x, self.tails.z[:, units], pulled) / self.ways[k]
+                place = np.full(len(margins), -1)
+                place[units] = np.arange(len(units))
+                seen.append((k, margins, place, rates))
+        for group in range(count):
+            used, jacobian = look.used.copy(), look.jacobian.copy()
+            for k, margins, place, rates in seen:
+                kept = np.flatnonzero(np.random.default_rng(len(margins)).permutation(len(margins)) % count != group)
+                there = self._quantile(k, margins[kept], weights=self.tails.weights[kept])
+                near, weights = place[kept[there.units]], there.weights
+                if (near < 0).all():
+                    continue
+                weights = np.where(near < 0, 0.0, weights) * weights.sum() / weights[near >= 0].sum()
+                used[k], jacobian[k] = 1 + there.level / self.ways[k], rates[:, near] @ weights
+                jacobian[k, : len(self.decisions.fields)] *= there.ratio
+            yield used, jacobian
+
+    def leading(self, x: np.ndarray) -> dict[str, float]:
+        """{requirement: derivative of the joint margin to its margin}, in used ways."""
+        if self.problem.joint_target is None:
+            return {}
+        margins, outward = self._margins(len(self.rows) - 1, self._tails(x))
+        seen = self._quantile(len(self.rows) - 1, margins)
+        return {name: float(np.abs(pull[seen.units]) @ seen.weights) for name, pull in outward.items()}
+
+    def _quantile(
+        self, k: int, margins: np.ndarray, rejects: float | None = None, weights: np.ndarray | None = None
+    ) -> Quantile:
+        rejects = float(self.rejects[k]) if rejects is None else float(rejects)
+        count = len(margins)
+        near = min(PULLED, int(2 * count * rejects) + _BEHIND) if self.problem.costly else count // _QUARTER
+        weights = self.tails.weights[:count] if weights is None else weights
+        item, plain = self.rows[k].item, self.tails.plain
+        sides = 1 if item is not None and not math.isfinite(item.upper - item.lower) else 2
+        return quantile(margins, weights, rejects, float(self.ways[k]), near, plain=plain, sides=sides)
+
+    def _margins(self, k: int, values: Values) -> tuple[np.ndarray, Values]:
+        """Margins (n,) of the units of a row on a share, and their derivatives (n,) to each response."""
+        row = self.rows[k]
+        if row.item is not None:
+            own = values[row.name]
+            pull = np.where(np.isnan(own), 0.0, row.item.outward(own))
+            return np.where(np.isnan(own), np.inf, row.item.margin(own)), {row.name: pull}
+        items = {n: i for n, i in self.problem.requirements.items() if i.of_units}
+        ways = {r.name: float(way) for r, way in zip(self.rows, self.ways) if r.item is not None}
+        failed = np.any([np.isnan(values[n]) for n in items], axis=0)
+        scaled = np.stack([item.margin(values[n]) / ways[n] for n, item in items.items()])
+        leading = np.where(failed, -1, np.where(np.isnan(scaled), -np.inf, scaled).argmax(axis=0))
+        pulls = {
+            n: np.where(leading == i, item.outward(values[n]) / ways[n], 0.0)
+            for i, (n, item) in enumerate(items.items())
+        }
+        return np.where(failed, np.inf, scaled.max(axis=0)), pulls
+
+    def _statistic(self, k: int, x: np.ndarray, sloped: bool) -> tuple[float, np.ndarray]:
+        """Used way and its derivatives (n,) of a statistic of all units; units that fail have no slope."""
+        row, nothing = self.rows[k], np.zeros(self.decisions.size)
+        values = self.units.values(self.decisions.population(x), self.plain)
+        if row.item is None:
+            assert self.most_failed is not None
+            failed = np.any([np.isnan(values[name]) for name in self.problem.requirements if name in values], axis=0)
+            return float(failed.mean()) / self.most_failed, nothing
+        item, own = row.item, values[row.name]
+        valid = own if item.most_failed >= 1 else own[~np.isnan(own)]
+        margin = item.learned(valid, self.ways[k]) + self.problem.cushioned(item, valid)
+        if not math.isfinite(margin):
+            return math.inf, nothing
+        if not sloped:
+            return 1 + margin / self.ways[k], nothing
+        few = own[:_STATISTIC] if self.problem.costly else own
+        pull = item.pull(few, margin, self.ways[k], len(few))
+        if not len(pull.units):
+            return 1 + margin / self.ways[k], nothing
+        pulled = {row.name: pull.cotangents / pull.norms.sum()}
+        return 1 + margin / self.ways[k], self.units.slope(x, self.plain[:, pull.units], pulled) / self.ways[k]
+
+    def _worst_case(self, row: Row, x: np.ndarray) -> tuple[float, np.ndarray]:
+        """Used way and its derivatives (n,) of a worst case; those to mid-points and numbers by differences."""
+        decisions, item, way = self.decisions, row.item, float(self.ways[self.rows.index(row)])
+        assert item is not None
+        both = functools.partial(extremes, self.problem.response, names=self._names, name=row.name)
+        ends: Extremes = both(decisions.population(x))
+        found, count = np.zeros(len(x)), len(decisions.fields)
+        margin = float(item.learned(ends.values, way))
+        pull, active = item.pull(ends.values, margin, way, len(ends.values)), list(decisions.base.active)
+        by_width = pull.cotangents @ ends.slopes[pull.units]
+        found[:count] = by_width[[active.index(name) for name in decisions.fields]]
+        for j in range(count, len(x)):
+            there = x.copy()
+            there[j] += _STEP if x[j] + _STEP <= decisions.high[j] else -_STEP
+            found[j] = (item.learned(both(decisions.population(there)).values, way) - margin) / (there[j] - x[j])
+        return 1 + margin / way, found / way
+
+    def _loss(self, x: np.ndarray, sloped: bool) -> tuple[float, np.ndarray]:
+        """Mean loss of the units that do not fail, inf where all do, and its derivatives (n,)."""
+        total, towards = 0.0, np.zeros(self.decisions.size)
+        values = self.units.values(self.decisions.population(x), self.plain) if self.problem.losses else {}
+        for name, loss in self.problem.losses.items():
+            units = np.flatnonzero(np.isfinite(values[name]))
+            if not len(units):
+                return math.inf, towards
+            total += float(np.mean(loss(values[name][units])))
+            units = units[:_STATISTIC] if self.problem.costly else units
+            if sloped:
+                pull = {name: np.asarray(loss.slope(values[name][units])) / len(units)}
+                towards += self.units.slope(x, self.plain[:, units], pull)
+        return total, towards
+
+
+def _sides(item: Limits) -> list[Limits]:
+    """The limits one by one, where the margin of both has a corner."""
+    if math.isinf(item.lower) or math.isinf(item.upper):
+        return [item]
+    return [dataclasses.replace(item, lower=-math.inf), dataclasses.replace(item, upper=math.inf)]
+
+
+def _size(item: Limits) -> float:
+    """Size of a limit."""
+    return abs(item.lower if math.isinf(item.upper) else item.upper)

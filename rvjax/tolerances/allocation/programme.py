@@ -1,0 +1,348 @@
+"""Search in a trust region: the cheapest vector of decisions that meets all constraints of a sample.
+
+Around a vector powers of the used ways are linear in powers of the half-widths, and linear in mid-points and numbers,
+whose curvature is learned (Powell's damped update, 1978). Costs are exact. Outputs without errors take one unit: they
+are looked at again at the end of each step of the model until it is right there. An interior point method solves the
+model within a box; an excess over a limit has a price. A step is taken where it gains enough of what the model promised.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import numpy as np
+import scipy
+
+from rvjax.tolerances.allocation.constraints import Constraints, Look
+from rvjax.tolerances.allocation.interior import Model, minimum
+
+GAIN = 1e-5, 5e-4
+"""Promised gain, as a part of the cost, below which a search on quick and on costly units ends."""
+
+COARSE = 2e-3
+"""The same on a sample that grows afterwards."""
+
+MET = 0.01
+"""Excess over a limit, in parts of its way, within the error of a sample."""
+
+RADIUS, AGAIN = 1.0, 0.3
+"""First box of a search, in logarithms of half-widths, and of one that begins at the end of another."""
+
+_LARGEST, _LEAST = 2.0, 1e-3  # boxes
+_TAKEN, _GOOD = 0.05, 0.7  # parts of a promised gain: a step is taken, the box grows
+_SHORTER = 3.0  # times smaller is the box than a step that was not taken
+_FLAT = 0.05  # used way, below which its square has no slope of its own
+_LOST = 3.0  # excess of a limit whose units fail, in parts of its way
+_PRICE, _DEARER = 2.0, 1e4  # of an excess of a whole way, in costs; times that at most
+_EXACT = 1e-9  # error of a limit without errors at the end of a step, in parts of its way
+_ROUNDS = 8  # of the model, each with these outputs seen at the end of the one before
+_AT = 1e-6  # distance from a bound that is none
+_NOTHING = 1e-3  # of the sum of slopes, a cost that is next to nothing
+
+
+@dataclasses.dataclass(frozen=True)
+class End:
+    """End of a search.
+
+    Attributes:
+        look: at it.
+        prices: (c,) cost for each way that a limit moves outwards.
+        at_low: (n,) rate at which the cost grows with each lower bound, not negative.
+        at_high: (n,) rate at which it falls with each upper bound, not negative.
+        residual: largest saving of an entry that no price accounts for, as a part of all savings.
+        settled: False where the number of looks ended the search.
+    """
+
+    look: Look
+    prices: np.ndarray
+    at_low: np.ndarray
+    at_high: np.ndarray
+    residual: float
+    settled: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class _Plan:
+    """Step of the model: its end, outputs without errors there, the merit promised, prices of excesses."""
+
+    x: np.ndarray
+    merit: float
+    prices: np.ndarray
+
+
+class Programme:
+    """Searches on the constraints of a problem; the curvature of mid-points and numbers is kept between them."""
+
+    def __init__(self, constraints: Constraints, look: Callable[[np.ndarray], Look]) -> None:
+        self.constraints, self.decisions, self._look = constraints, constraints.decisions, look
+        self.low, self.high = self.decisions.low.copy(), self.decisions.high.copy()
+        self._first = len(self.decisions.fields)
+        self.bend: np.ndarray | None = None
+        self.weights: np.ndarray | None = None
+        """Prices (c,) of excesses where these are all that counts, else None."""
+
+    def run(self, start: np.ndarray, radius: float = RADIUS, *, most: int, gain: float | None = None) -> End:
+        """The cheapest vector from a start on.
+
+        Args:
+            start: (n,) vector.
+            radius: of the first box.
+            most: looks, at most.
+            gain: promised gain that ends the search, as a part of the cost; None: `GAIN`.
+        """
+        gain = GAIN[self.constraints.problem.costly] if gain is None else gain
+        here, looks = self._look(np.clip(start, self.low, self.high)), 1
+        size = self._size(here)
+        elastic = np.full(len(here.used), _PRICE * size) if self.weights is None else self.weights
+        settled = False
+        while looks < most:
+            size = self._size(here)
+            plan = self._plan(here, radius, elastic)
+            promised = self._merit(here, elastic) - plan.merit
+            if promised <= gain * size or radius < _LEAST:
+                broken = _excess(here) > MET
+                if radius >= _LEAST and self.weights is None and broken.any() and elastic.max() < _DEARER * size:
+                    elastic = np.where(broken, 10 * elastic, elastic)
+                    continue
+                settled = True
+                break
+            there, looks = self._look(plan.x), looks + 1
+            gained = self._merit(here, elastic) - self._merit(there, elastic)
+            step = float(np.abs((plan.x - here.x) / self.decisions.reach).max())
+            self._learn(here, there, plan.prices)
+            if gained < _TAKEN * promised or not math.isfinite(gained):
+                radius = min(radius, step) / _SHORTER
+                continue
+            if gained > _GOOD * promised:
+                radius = min(_LARGEST, max(radius, 2 * step))
+            elif gained < (1 - _GOOD) * promised:
+                radius = min(radius, step)
+            here = there
+        return self.end(here, settled)
+
+    def end(self, here: Look, settled: bool = True) -> End:
+        """A look as the end of a search, with the prices of its limits and bounds.
+
+        Args:
+            here: the look.
+            settled: see `End`.
+        """
+        low, high = here.x <= self.low + _AT, here.x >= self.high - _AT
+        binding = np.isfinite(here.used) & (here.used > 1 - MET)
+        pull = here.pull if self.weights is None else np.zeros(len(here.x))
+        n = len(here.x)
+        rows = np.concatenate([here.jacobian[binding], -np.eye(n)[low], np.eye(n)[high]])
+        scale = np.maximum(np.linalg.norm(rows, axis=1), 1e-300)
+        found, _ = (
+            scipy.optimize.nnls((rows / scale[:, None]).T, -pull) if len(rows) and n else (np.zeros(len(rows)), 0.0)
+        )
+        prices, at_low, at_high = np.zeros(len(here.used)), np.zeros(n), np.zeros(n)
+        found = found / scale
+        left = pull + found @ rows
+        prices[binding], found = found[: binding.sum()], found[binding.sum() :]
+        at_low[low], at_high[high] = found[: low.sum()], found[low.sum() :]
+        savings = float(np.abs(here.slopes).sum() + np.abs(here.priced_slopes + here.loss_slopes).sum())
+        savings = max(savings, MET * abs(here.total), 1e-300)
+        return End(here, prices, at_low, at_high, float(np.abs(left).max(initial=0.0)) / savings, settled)
+
+    def prices(self, here: Look, radius: float) -> np.ndarray:
+        """Prices (c,) of used ways in the model around a look.
+
+        Args:
+            here: the look.
+            radius: of the box.
+        """
+        elastic = np.full(len(here.used), _DEARER * self._size(here))
+        prices = self._plan(here, radius, elastic).prices
+        return np.where(prices < 0.1 * elastic, prices, 0.0) * here.powers
+
+    # The model.
+
+    def _plan(self, here: Look, radius: float, elastic: np.ndarray) -> _Plan:
+        """Cheapest end of a step within a box under the model."""
+        planes = _Planes(self.constraints, here)
+        for _ in range(_ROUNDS):
+            x, prices = self._solved(here, radius, elastic, planes)
+            if planes.seen(x) <= _EXACT:
+                break
+        used = np.where(planes.nominal, planes.used[-1], self._powers(here, x)[0])
+        excess = np.maximum(np.where(np.isfinite(here.used), used - 1, _LOST), 0.0)
+        total = self._total(here, x)[0] + planes.priced[-1]
+        return _Plan(x, (total if self.weights is None else 0.0) + float(elastic @ excess), prices)
+
+    def _solved(
+        self, here: Look, radius: float, elastic: np.ndarray, planes: "_Planes"
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Minimum of the model, and the prices (c,) of its rows."""
+        n, c, size = len(here.x), len(here.used), self._size(here)
+        units = np.flatnonzero(~planes.nominal & np.isfinite(here.used))
+        reach = radius * self.decisions.reach
+        low, high = np.maximum(self.low, here.x - reach), np.minimum(self.high, here.x + reach)
+        counted, first = float(self.weights is None), self._first
+        whole = np.concatenate([here.x, _excess(here), [here.priced / size]])
+        whole[:n] = np.clip(here.x, low, high)
+        ends = np.concatenate([low, np.zeros(c), [-np.inf]]), np.concatenate([high, np.full(c + 1, np.inf)])
+        free = np.flatnonzero(ends[1] - ends[0] > _AT)
+
+        def model(v: np.ndarray, given: np.ndarray) -> Model:
+            whole[free] = v
+            lam = given[: len(units)] if len(given) else np.zeros(len(units))
+            used, towards, bends = self._powers(here, whole[:n])
+            _, slopes, curved = self._total(here, whole[:n])
+            flat, rates = planes.rows(whole, size)
+            own = np.zeros((len(units), n + c + 1))
+            own[:, :n] = -towards[units]
+            own[range(len(units)), n + units] = 1.0
+            hessian = np.zeros((n + c + 1, n + c + 1))
+            hessian[:n, :n] = counted * curved / size
+            hessian[range(first), range(first)] += np.maximum(lam @ bends[units], 0.0)
+            objective = np.concatenate([counted * slopes, elastic, [counted * size]]) / size
+            values = np.concatenate([1 + whole[n + units] - used[units], flat])
+            return Model(objective[free], hessian[np.ix_(free, free)], values, np.concatenate([own, rates])[:, free])
+
+        whole[free], multipliers = minimum(model, whole[free], ends[0][free], ends[1][free])
+        x = np.clip(whole[:n], low, high) if np.isfinite(whole).all() else here.x
+        x = np.where(x < self.low + _AT, self.low, np.where(x > self.high - _AT, self.high, x))
+        prices, multipliers = np.zeros(c), multipliers * size
+        prices[units] = multipliers[: len(units)]
+        for k, price in zip(planes.owner, multipliers[len(units) :]):
+            if k < c:
+                prices[k] += price
+        return x, prices
+
+    def _powers(self, here: Look, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Powers (c,) of the used ways under the model, their derivatives (c, n), and second ones to half-widths."""
+        first, p = self._first, here.powers[:, None]
+        base = np.where(np.isfinite(here.used), here.used, 1.0)
+        rate = np.where(here.powers == 1, 1.0, here.powers * np.maximum(base, _FLAT))[:, None] * here.jacobian
+        moved = x - here.x
+        grown = np.exp(p * moved[:first])
+        start = np.where(here.powers == 1, base, np.sign(base) * np.abs(base) ** here.powers)
+        value = start + (rate[:, :first] / p * (grown - 1)).sum(axis=1) + rate[:, first:] @ moved[first:]
+        slopes = rate[:, :first] * grown
+        return value, np.concatenate([slopes, rate[:, first:]], axis=1), p * slopes
+
+    def _total(self, here: Look, x: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """Cost with losses under the model, without priced outputs, its derivatives (n,) and curvature (n, n)."""
+        first, moved = self._first, x - here.x
+        cost, slopes, bends = self.decisions.cost(x)
+        grown = here.loss_slopes[:first] * np.exp(2 * moved[:first])
+        bend = self._bend(here)
+        bent = bend @ moved[first:]
+        loss = here.loss + float((grown - here.loss_slopes[:first]).sum()) / 2
+        loss += float((here.loss_slopes[first:] + bent / 2) @ moved[first:])
+        curved = np.diag(np.maximum(bends + np.concatenate([2 * grown, np.zeros(len(bent))]), 0.0))
+        curved[first:, first:] += bend
+        return cost + loss, slopes + np.concatenate([grown, here.loss_slopes[first:] + bent]), curved
+
+    def _bend(self, here: Look) -> np.ndarray:
+        """Curvature of mid-points and numbers; the cost itself to begin with."""
+        if self.bend is None:
+            self.bend = self._size(here) * np.eye(len(here.x) - self._first)
+        return self.bend
+
+    def _learn(self, old: Look, new: Look, prices: np.ndarray) -> None:
+        """Damped update of the curvature by the slopes of priced used ways and losses."""
+        step, before = (new.x - old.x)[self._first :], self._bend(old)
+
+        def pull(look: Look) -> np.ndarray:
+            rates = look.powers * np.maximum(np.where(np.isfinite(look.used), look.used, 1.0), _FLAT) ** (
+                look.powers - 1
+            )
+            seen = (prices * rates * (look.powers == 2)) @ look.jacobian
+            return (seen + look.loss_slopes)[self._first :]
+
+        towards = before @ step
+        along, change = float(step @ towards), pull(new) - pull(old)
+        if not along > 0:
+            return
+        seen = float(step @ change)
+        part = 1.0 if seen >= 0.2 * along else 0.8 * along / (along - seen)
+        change = part * change + (1 - part) * towards
+        self.bend = before - np.outer(towards, towards) / along + np.outer(change, change) / float(step @ change)
+
+    # The order of vectors.
+
+    def _size(self, look: Look) -> float:
+        """Cost by which gains count; where it is next to nothing, a part of what a range of a number may change."""
+        if self.weights is not None:
+            return float(self.weights.sum())
+        slopes = float(np.abs(look.slopes).sum() + np.abs(look.priced_slopes).sum())
+        return max(abs(look.cost), abs(look.total), _NOTHING * slopes, 1e-300)
+
+    def _merit(self, look: Look, elastic: np.ndarray) -> float:
+        return (look.total if self.weights is None else 0.0) + float(elastic @ _excess(look))
+
+
+class _Planes:
+    """Limits on outputs without errors, and the priced ones, as the largest of their linear functions seen so far."""
+
+    def __init__(self, constraints: Constraints, here: Look) -> None:
+        self._constraints, self._here = constraints, here
+        self.nominal = np.array([row.nominal for row in constraints.rows], bool)
+        self._rows = np.flatnonzero(self.nominal)
+        self._places: list[np.ndarray] = []
+        self.used: list[np.ndarray] = []
+        self.priced: list[float] = []
+        self._slopes: list[tuple[np.ndarray, np.ndarray]] = []
+        self._any = bool(self.nominal.any() or here.priced or here.priced_slopes.any())
+        self._add(here.x, here.used, here.jacobian, here.priced, here.priced_slopes)
+
+    def _add(self, x: np.ndarray, used: np.ndarray, rates: np.ndarray, priced: float, towards: np.ndarray) -> None:
+        self._places.append(x)
+        self.used.append(used)
+        self.priced.append(priced)
+        self._slopes.append((rates, towards))
+        c = len(self.nominal)
+        self._flat = [
+            (k, i)
+            for i, place in enumerate(self._places)
+            for k in [*self._rows, c]
+            if i == len(self._places) - 1
+            or all(self._value(k, i, at) <= self._seen(k, j) for j, at in enumerate(self._places))
+        ]
+        self.owner = [k for k, _ in self._flat]
+
+    def _seen(self, k: int, j: int) -> float:
+        value = self.priced[j] if k == len(self.nominal) else float(self.used[j][k])
+        return value + 1e-7 * (abs(value) + 1e-3)
+
+    def _value(self, k: int, i: int, x: np.ndarray) -> float:
+        rates, towards = self._slopes[i]
+        priced = k == len(self.nominal)
+        value, slope = (self.priced[i], towards) if priced else (float(self.used[i][k]), rates[k])
+        return value + float(slope @ (x - self._places[i]))
+
+    def seen(self, x: np.ndarray) -> float:
+        """Look at these outputs at the end of a step; the largest error of the planes there, in parts of a way."""
+        if not self._any:
+            self.used.append(self.used[-1])
+            self.priced.append(self.priced[-1])
+            return 0.0
+        used, rates, priced, towards = self._constraints.nominal(x)
+        c = len(self.nominal)
+        told = {k: max(self._value(k, i, x) for j, i in self._flat if j == k) for k in self.owner}
+        error = max((abs(told[k] - used[k]) for k in self._rows), default=0.0)
+        error = max(error, abs(told[c] - priced) / max(abs(priced), 1e-300))
+        self._add(x, used, rates, priced, towards)
+        return error
+
+    def rows(self, v: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
+        """Rows (m,) of vector, excesses and priced outputs that may not be negative, and their derivatives."""
+        c = len(self.nominal)
+        n = len(v) - c - 1
+        values, slopes = np.zeros(len(self._flat)), np.zeros((len(self._flat), len(v)))
+        for row, (k, i) in enumerate(self._flat):
+            rates, towards = self._slopes[i]
+            slopes[row, :n] = -towards / size if k == c else -rates[k]
+            slopes[row, n + k] = 1.0
+            value = self._value(k, i, v[:n])
+            values[row] = v[n + k] - (value / size if k == c else value - 1)
+        return values, slopes
+
+
+def _excess(look: Look) -> np.ndarray:
+    """Excesses (c,) of powers of the used ways over 1."""
+    used = np.where(np.isfinite(look.used), look.used, 1.0)
+    powers = np.where(look.powers == 1, used, np.sign(used) * np.abs(used) ** look.powers)
+    return np.where(np.isfinite(look.used), np.maximum(powers - 1, 0.0), np.where(np.isneginf(look.used), 0.0, _LOST))

@@ -1,0 +1,66 @@
+"""Looks along rays: where derivatives of units mislead, values of units take their place.
+
+Where units fail, or a response moves in steps, derivatives of units do not give the slope of a limit. Along a ray from
+zero errors every unit leaves its limits at its own factor on all half-widths. The factor at which a limit fails is
+continuous in the decisions for any response, and its differences are slopes. They cost some dozen samples where
+derivatives cost one, so only quick units are looked at so.
+"""
+
+import dataclasses
+
+import numpy as np
+
+from rvjax.tolerances.allocation.constraints import Constraints, Look
+
+_INWARD, _OUTWARD = 5.0, 0.7  # reach of a ray, logarithm of the factor
+_IDLE = 0.5  # with a larger factor than this, its logarithm, a limit does not bind
+_STEP, _PART = 0.15, 0.05  # of differences, logarithm of a half-width or part of a range: several units cross
+_FINE, _COARSE = 1e-3, 3e-3  # accuracy of a place on a ray and of a difference
+
+
+class Rays:
+    """Looks at the constraints of a problem along rays."""
+
+    def __init__(self, constraints: Constraints) -> None:
+        self._constraints, self._first = constraints, len(constraints.decisions.fields)
+        self._shares = np.array([row.share for row in constraints.rows], bool)
+
+    def look(self, x: np.ndarray) -> Look:
+        """Cost and used ways at a vector, those of shares along the ray."""
+        plain = self._constraints.look(x, sloped=False)
+        ends = np.full(len(plain.used), _INWARD), np.full(len(plain.used), _OUTWARD)
+        room = self._room(x, -ends[0], ends[1], _FINE)
+        slopes = np.stack([self._difference(x, room, j) for j in range(len(x))], axis=1)
+        factors = np.exp(-room)
+        return dataclasses.replace(
+            plain,
+            used=np.where(self._shares, factors, plain.used),
+            jacobian=np.where(self._shares[:, None], factors[:, None] * slopes, plain.jacobian),
+        )
+
+    def _difference(self, x: np.ndarray, room: np.ndarray, j: int) -> np.ndarray:
+        """-d log(factor)/d x_j of each limit that may bind."""
+        step = _STEP if j < self._first else _PART
+        open_ = np.where(room < _IDLE, _STEP, 0.0)
+        found = []
+        for sign in (1.0, -1.0):
+            moved = x.copy()
+            moved[j] = np.clip(
+                x[j] + sign * step, -np.inf if j < self._first else 0.0, np.inf if j < self._first else 1.0
+            )
+            near, far = (0.5, 1.25) if j < self._first else (3.0, 3.0)  # a wider field takes no more than it grows
+            low, high = (room - far * open_, room + near * open_)
+            low, high = (low, high) if sign > 0 or j >= self._first else (room - near * open_, room + far * open_)
+            found.append((self._room(moved, low, high, _COARSE), moved[j]))
+        return -(found[0][0] - found[1][0]) / (found[0][1] - found[1][1])
+
+    def _room(self, x: np.ndarray, low: np.ndarray, high: np.ndarray, known: float) -> np.ndarray:
+        """Logarithm of the factor at which each limit (c,) fails, by bisection; every sample serves all limits."""
+        low, high = np.where(self._shares, low, 0.0), np.where(self._shares, high, 0.0)
+        while (high - low).max(initial=0.0) > known:
+            k = int(np.argmax(high - low))
+            at = (low[k] + high[k]) / 2
+            met = self._constraints.beyond(x, scale=float(np.exp(at))) <= self._constraints.rejects
+            low = np.where(met, np.clip(at, low, high), low)
+            high = np.where(met, high, np.clip(at, low, high))
+        return (low + high) / 2

@@ -1,0 +1,145 @@
+"""Units at which an allocation looks: their values, and derivatives of sums of these to the vector of decisions."""
+
+import hashlib
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax._jax.blocks import PULLED, calls, padded
+from rvjax.population import Population
+from rvjax.response import BLOCK, Part, Response, elements, elements_and_rates, gradients, is_costly, parts, respond
+from rvjax.status import succeeded
+from rvjax.tolerances.allocation.decisions import Decisions
+from rvjax.tolerances.batch.checkpoint import describe
+from rvjax.tolerances.batch.memo import Memo
+
+Values = dict[str, np.ndarray]
+"""Numbers (n,) of units, by name of the response."""
+
+
+class Units:
+    """Values of units and their derivatives; what a memo holds is not computed again."""
+
+    def __init__(self, response: Response, decisions: Decisions, wanted: set[str], memo: Memo | None) -> None:
+        self.parts = [p for p in parts(response, decisions.base) if wanted & set(p.names)] if wanted else []
+        self.solved = 0
+        self._decisions, self._memo = decisions, memo
+        self._costly = is_costly(response)
+        self._latest: list[tuple[Population, np.ndarray, frozenset[str], Values]] = []
+
+    def values(
+        self, population: Population, z: np.ndarray, least: frozenset[str] = frozenset(), few: int = 0
+    ) -> Values:
+        """Values (n,) by name of the units of a population, nan where one failed.
+
+        Args:
+            population: of the units.
+            z: (numbers, n) of the units.
+            least: responses that may have `few` units: a part with no other one is solved for these alone.
+            few: number of these.
+        """
+        for there, own, reduced, found in self._latest:
+            if there is population and own is z and reduced == least:
+                return found
+        found = {}
+        for part in self.parts:
+            own = z[:, :few] if few < z.shape[1] and set(part.names) <= least else z
+            found |= dict(zip(part.names, self._of_part(part, population, own)))
+            self.solved += own.shape[1] // len(self.parts)
+        shortest = min((len(row) for row in found.values()), default=0)
+        failed = np.any([np.isnan(row[:shortest]) for row in found.values()], axis=0)
+        for row in found.values():
+            row[:shortest][failed] = np.nan
+        self._latest = [*self._latest[-1:], (population, z, least, found)]
+        return found
+
+    def _of_part(self, part: Part, population: Population, z: np.ndarray) -> np.ndarray:
+        """Values (k, n) of a part of the response."""
+
+        def compute() -> np.ndarray:
+            if self._costly:
+                values, status = part.solve(population, z)
+            else:
+                blocks = [np.asarray(z[:, units], jnp.result_type(float)) for units in calls(z.shape[1], BLOCK)]
+                found = [respond(part.response, population, block) for block in blocks]
+                rows = [np.stack([np.asarray(values[name], float) for name in part.names]) for values, _ in found]
+                values = np.concatenate(rows, axis=1)[:, : z.shape[1]]
+                status = np.concatenate([np.asarray(flags) for _, flags in found])[: z.shape[1]]
+            return np.where(succeeded(np.asarray(status)), values, np.nan)
+
+        if self._memo is None:
+            return compute()
+        about = repr((part.names, sorted(describe(population, {}).items()))).encode()
+        return self._memo.recall({"design": hashlib.sha256(about + z.tobytes()).hexdigest()}, compute).copy()
+
+    def gradients(self, population: Population, errors: np.ndarray, pulled: Values) -> np.ndarray:
+        """Gradients (elements and numbers, n) of sums of responses with weights (n,) by name.
+
+        Args:
+            population: with the numbers of the design.
+            errors: (elements, n) of the units.
+            pulled: weights; other parts of the response are not computed.
+        """
+        total = np.zeros((errors.shape[0] + len(population.values or {}), errors.shape[1]))
+        for part in self.parts:
+            if not set(part.names) & set(pulled):
+                continue
+            nothing = np.zeros(errors.shape[1])
+            weights = np.stack([pulled.get(name, nothing) for name in part.names])
+
+            def compute(part: Part = part, weights: np.ndarray = weights) -> np.ndarray:
+                return gradients(part.response, population, errors, weights, part.names)[1]
+
+            if self._memo is None:
+                total += compute()
+            else:
+                about = repr((part.names, sorted((population.values or {}).items()))).encode()
+                weighted = hashlib.sha256(about + errors.tobytes() + weights.tobytes()).hexdigest()
+                total += self._memo.recall({"gradients of": weighted}, compute)
+        self.solved += errors.shape[1]
+        return total
+
+    def slope(self, x: np.ndarray, z: np.ndarray, pulled: Values) -> np.ndarray:
+        """Derivative (n,) of the sum over units of responses with weights (m,), to the vector of decisions."""
+        return np.asarray(self.slopes(x, z, pulled).sum(axis=1))
+
+    def slopes(self, x: np.ndarray, z: np.ndarray, pulled: Values) -> np.ndarray:
+        """Derivatives (n, m) of responses of units with weights (m,), to the vector of decisions; 0 where one failed.
+
+        Args:
+            x: the vector.
+            z: (numbers, m) of the units.
+            pulled: weights by name of the response.
+        """
+        decisions, population = self._decisions, self._decisions.population(x)
+        errors, rates = elements_and_rates(population, dict(zip(decisions.fields, decisions.half_widths(x))), z)
+        slopes, count = self.gradients(population, errors, pulled), len(rates)
+        slopes = np.where(np.isfinite(slopes).all(axis=0), slopes, 0.0)
+        ends = np.cumsum([0, *(math.prod(t.shape) for t in population.active.values())])
+        place = dict(zip(population.active, map(slice, ends[:-1], ends[1:])))
+        by_field = lambda rows, name: rows[place[name]].sum(axis=0)  # noqa: E731
+        numbers = dict(zip(sorted(population.values or {}), slopes[count:]))
+        own, spans = slopes[:count] * np.where(slopes[:count] == 0, 0.0, rates), decisions.rates()
+        found = [t * by_field(own, name) for name, t in zip(decisions.fields, decisions.half_widths(x))]
+        found += [span * by_field(slopes[:count], name) for (name, _), span in zip(decisions.moves, spans)]
+        found += [span * numbers[name] for name, span in zip(decisions.free, spans[len(decisions.moves) :])]
+        return np.reshape(found, (decisions.size, z.shape[1]))
+
+    def slopes_to_z(self, population: Population, z: np.ndarray, pulled: Values) -> np.ndarray:
+        """Gradients (numbers, n) of responses of units to their z."""
+        lanes = np.asarray(padded(z, PULLED, axis=1), jnp.result_type(float))
+        errors = np.asarray(elements(population, lanes), float)[:, : z.shape[1]]
+        slopes = self.gradients(population, errors, pulled)[: len(errors)]
+        return np.asarray(_to_z(population, lanes, padded(slopes, PULLED, axis=1)), float)[:, : z.shape[1]]
+
+
+def _rows(population: Population, z: jax.Array) -> jax.Array:
+    nothing = jnp.zeros((0, z.shape[-1]), z.dtype)
+    return jnp.concatenate([nothing, *(v.reshape(-1, z.shape[-1]) for v in population.deviations(z).values())])
+
+
+@jax.jit
+def _to_z(population: Population, z: jax.Array, slopes: jax.Array) -> jax.Array:
+    return jax.vjp(lambda z: _rows(population, z), z)[1](slopes.astype(z.dtype))[0]
