@@ -25,8 +25,8 @@ from rvjax.tolerances import (
     allocate,
     it_width,
 )
-from rvjax.tolerances.optimum.decisions import Decisions
-from rvjax.tolerances.optimum.lists import Lists
+from rvjax.tolerances.allocation.decisions import Decisions
+from rvjax.tolerances.allocation.lists import Lists
 from rvjax.tolerances.optimum.units import Units
 from rvjax.units import mm, um
 

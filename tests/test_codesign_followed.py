@@ -11,10 +11,10 @@ from scipy import integrate, stats
 from rvjax.population import Population
 from rvjax.records import Record, field, record, text
 from rvjax.tolerances import Nominal, ReciprocalPower, Requirement, Tolerance, Variable, allocate
+from rvjax.tolerances.allocation.certificate import Certifier
+from rvjax.tolerances.allocation.decisions import Decisions
 from rvjax.tolerances.optimum import steps
 from rvjax.tolerances.optimum.anchor import Anchor
-from rvjax.tolerances.optimum.certificate import Certifier
-from rvjax.tolerances.optimum.decisions import Decisions
 from rvjax.tolerances.optimum.local import Local
 from rvjax.tolerances.optimum.margins import Margins
 

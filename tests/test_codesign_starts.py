@@ -11,8 +11,8 @@ from oracles.responses import Lever
 from rvjax.population import Population
 from rvjax.records import Record, record
 from rvjax.tolerances import ReciprocalPower, Requirement, Tolerance, Variable, allocate
+from rvjax.tolerances.allocation.decisions import Decisions
 from rvjax.tolerances.optimum import jackknife
-from rvjax.tolerances.optimum.decisions import Decisions
 from rvjax.tolerances.optimum.designer import Designer
 from rvjax.tolerances.optimum.margins import Margins
 from rvjax.tolerances.optimum.search import Search

@@ -39,9 +39,9 @@ from rvjax.tolerances import (
     allocate,
     it_width,
 )
+from rvjax.tolerances.allocation import certificate
+from rvjax.tolerances.allocation.certificate import Certifier
 from rvjax.tolerances.batch.monte_carlo import Run
-from rvjax.tolerances.optimum import certificate
-from rvjax.tolerances.optimum.certificate import Certifier
 from rvjax.tolerances.optimum.search import Search
 from rvjax.units import mm, um
 

@@ -20,7 +20,7 @@ from oracles.linear_pair import above, radius
 from oracles.responses import Linear
 from rvjax.population import GRADES
 from rvjax.tolerances import Middle, ReciprocalPower, Requirement, Tolerance, allocate, it_width
-from rvjax.tolerances.optimum.certificate import Certifier
+from rvjax.tolerances.allocation.certificate import Certifier
 from rvjax.units import mm, um
 
 FIELDS = "abcd"

@@ -17,8 +17,8 @@ from rvjax.response import Part, elements, gradients, status_without_errors
 from rvjax.roots import solved
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, ReciprocalPower, Requirement, Run, Tolerance, allocate
+from rvjax.tolerances.allocation.certificate import Certifier
 from rvjax.tolerances.batch.memo import Memo
-from rvjax.tolerances.optimum.certificate import Certifier
 from rvjax.tolerances.optimum.followed import Followed
 from rvjax.tolerances.optimum.sample_average import Training
 from rvjax.tolerances.optimum.search import Search

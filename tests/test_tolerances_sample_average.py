@@ -14,7 +14,7 @@ from scipy import stats
 from rvjax.population.estimates import Estimate
 from rvjax.population.population import Population
 from rvjax.tolerances import Requirement, Tolerance
-from rvjax.tolerances.optimum.certificate import Certifier
+from rvjax.tolerances.allocation.certificate import Certifier
 from rvjax.tolerances.optimum.sample_average import Training
 
 SAMPLES = 4096

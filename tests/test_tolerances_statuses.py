@@ -16,9 +16,9 @@ from oracles.linear_pair import COSTS, LIMIT, PAIR, above, closed_cost, linear, 
 from oracles.responses import Failing
 from rvjax.population import Population
 from rvjax.tolerances import Middle, Nominal, QuadraticLoss, ReciprocalPower, Requirement, Tolerance, Variable, allocate
+from rvjax.tolerances.allocation.certificate import Certifier
+from rvjax.tolerances.allocation.decisions import Decisions
 from rvjax.tolerances.optimum import designer, half_widths
-from rvjax.tolerances.optimum.certificate import Certifier
-from rvjax.tolerances.optimum.decisions import Decisions
 from rvjax.tolerances.optimum.ends import confirmed
 from rvjax.tolerances.optimum.found import status_of
 from rvjax.tolerances.optimum.margins import Margins
