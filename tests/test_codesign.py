@@ -8,8 +8,7 @@ from codesign_cases import CASES, LENGTH, NEED, OPTIONS, PARTS, arguments, lever
 
 from oracles.responses import Lever, Linear
 from rvjax.tolerances import Memo, Middle, Nominal, ReciprocalPower, Requirement, Tolerance, Variable, allocate
-from rvjax.tolerances.optimum import units
-from rvjax.tolerances.optimum.tail_sample import smooth_quantile
+from rvjax.tolerances.allocation import sample
 
 UNITS = 200_000  # of a certificate: their error of the 99.73 % quantile costs about 1 %
 
@@ -159,8 +158,8 @@ def test_a_killed_run_continues_from_its_memo(tmp_path, monkeypatch):
 
     options = dict(certificate_samples=4096, samples=512, memo=Memo(tmp_path, {}, worth=0.0))
     first = levered(**options)
-    monkeypatch.setattr(units, "respond", gone)
-    monkeypatch.setattr(units, "gradients", gone)
+    monkeypatch.setattr(sample, "respond", gone)
+    monkeypatch.setattr(sample, "gradients", gone)
     again = levered(**options)
     assert (again.values, again.cost, again.history) == (first.values, first.cost, first.history)
 
@@ -190,13 +189,3 @@ def test_the_price_of_a_limit_is_exact(solved_lever):
     assert solved_lever.multipliers["y"] == pytest.approx(-solved_lever.cost, rel=2e-3)
     wide = levered(requirements={"y": Requirement(lower=-2.0, upper=2.0)})
     assert wide.learned == pytest.approx(solved_lever.learned / 2, rel=2e-3)
-
-
-def test_failed_units_are_rejects_of_a_quantile():
-    """5 % may be rejects. With 2 % failed, 3 % of all units lie beyond; with 5 % failed no limit is left."""
-    margins, weights = np.arange(1000) / 1000.0, np.ones(1000)
-    assert smooth_quantile(margins, weights, 0.05, 1e-4) == pytest.approx(0.9495, abs=6e-4)
-    margins[:20] = np.inf  # the best of them
-    assert smooth_quantile(margins, weights, 0.05, 1e-4) == pytest.approx(0.9695, abs=6e-4)
-    margins[:50] = np.inf
-    assert smooth_quantile(margins, weights, 0.05, 1e-4) == np.inf

@@ -27,7 +27,7 @@ from rvjax.tolerances import (
 )
 from rvjax.tolerances.allocation.decisions import Decisions
 from rvjax.tolerances.allocation.lists import Lists
-from rvjax.tolerances.optimum.units import Units
+from rvjax.tolerances.allocation.sample import Units
 from rvjax.units import mm, um
 
 TARGET, UNITS = 0.999, 50_000
@@ -134,7 +134,7 @@ def test_lists_too_long_for_all_combinations_end_where_no_exchange_is_cheaper(se
     variables = {n: Variable(0.0, 1.0, among=(0.0, 0.2, 0.5, 0.7, 1.0)) for n in "xyz"}
     lists = Lists(Decisions(Population.of({"a": Tolerance.symmetric(1.0)}), {}, {}, variables))
     end, table = rng.uniform(size=3), rng.uniform(1, 2, (5, 5, 5))
-    best = lists.cheapest(end, lambda places: places, lambda places: (False, table[places]))[0]
+    best = lists.cheapest(end, lambda places: places, lambda places: (False, table[places]))
     above = np.searchsorted(variables["x"].among, end)
     rounded = list(itertools.product(*((k - 1, k) for k in above)))
     near = [best, *rounded]
@@ -230,5 +230,5 @@ def test_a_unit_whose_equations_were_not_solved_has_no_value():
 
     decisions = Decisions(Population.of({"a": Tolerance.symmetric(3.0)}), {}, {}, {})
     z = np.linspace(-2.0, 2.0, 16)[None]
-    found = Units(response, decisions, {"y"}, None).values(np.zeros(0), z, "tails")["y"]
+    found = Units(response, decisions, {"y"}, None).values(decisions.population(np.zeros(0)), z)["y"]
     np.testing.assert_allclose(found, np.where(z[0] > 0, np.nan, z[0]), rtol=1e-12)
