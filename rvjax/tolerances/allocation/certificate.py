@@ -14,7 +14,7 @@ from rvjax.population import Population, deviate_of, wilson
 from rvjax.response import PLAIN
 from rvjax.tolerances.allocation.constraints import FAILED, Constraints, Look
 from rvjax.tolerances.allocation.problem import SPARE, Problem
-from rvjax.tolerances.batch.statistics import Statistics
+from rvjax.tolerances.batch.statistics import Statistics, rejects
 from rvjax.tolerances.failure.failure import failure_probability
 from rvjax.tolerances.requirements.limits import Limits, Verdict
 
@@ -39,7 +39,12 @@ class Certifier:
         self.drawn += 1
         self.solved += self.run.samples
         found = dataclasses.replace(self.run, population=population).statistics()
-        return dataclasses.replace(found, verdicts=found.verdicts | self._rare(population)) if found.verdicts else found
+        better = self._rare(population)
+        if not better:
+            return found
+        shares = found.yield_ | {name: verdict.estimate for name, verdict in better.items()}
+        ppm = {name: rejects(share) for name, share in shares.items()}
+        return dataclasses.replace(found, verdicts=found.verdicts | better, yield_=shares, ppm=ppm)
 
     def holds(self, statistics: Statistics) -> bool:
         """True if every requirement is met for certain, and the joint target if there is one."""

@@ -14,17 +14,17 @@ from rvjax.tolerances.allocation.result import bounds_active
 _GROUPS = 20  # of units, each left out in turn (Tukey 1958)
 
 
-def prices_of(constraints: Constraints, end: End, prices: np.ndarray | None = None) -> dict[str, float]:
+def prices_of(constraints: Constraints, end: End, prices: np.ndarray, ways: np.ndarray) -> dict[str, float]:
     """Reduction of the cost per outward move of all limits of a requirement, by name.
 
     Args:
         constraints: of the search.
         end: of the search.
-        prices: (c,) of used ways, by default those of the end.
+        prices: (c,) of used ways.
+        ways: (c,) move of a limit for each used way.
     """
-    prices = end.prices if prices is None else prices
     found = dict.fromkeys(constraints.problem.requirements, 0.0)
-    for row, price, way in zip(constraints.rows, prices, constraints.ways):
+    for row, price, way in zip(constraints.rows, prices, ways):
         if row.item is not None:
             found[row.name] += float(price / way)
     for name, part in constraints.leading(end.look.x).items():
@@ -41,10 +41,11 @@ def intervals(programme: Programme, end: End, confidence: float) -> dict[str, tu
         confidence: of the intervals.
     """
     constraints, several = programme.constraints, []
-    values = prices_of(constraints, end)
+    values = prices_of(constraints, end, end.prices, constraints.ways)
     for used, jacobian in constraints.without_groups(end.look, _GROUPS):
         there = dataclasses.replace(end.look, used=used, jacobian=jacobian)
-        several.append([*prices_of(constraints, end, programme.prices(there, AGAIN)).values()])
+        prices = programme.prices(there, AGAIN)
+        several.append([*prices_of(constraints, end, prices, constraints.ways).values()])
     error = np.std(np.asarray(several), axis=0) * math.sqrt(_GROUPS - 1)
     half = dict(zip(values, map(float, special.stdtrit(_GROUPS - 1, (1 + confidence) / 2) * error)))
     return {name: (-value - half[name], -value + half[name]) for name, value in values.items()}

@@ -1,7 +1,7 @@
 """Search in a trust region: the cheapest vector of decisions that meets all constraints of a sample.
 
-Around a vector powers of the used ways are linear in powers of the half-widths, and linear in mid-points and numbers,
-whose curvature is learned (Powell's damped update, 1978). Costs are exact. Outputs without errors take one unit: they
+Around a vector powers of the used ways are linear in powers of the half-widths and in mid-points and numbers. What was
+seen at another vector adds a curvature along the step to it. Costs are exact. Outputs without errors take one unit: they
 are looked at again at the end of each step of the model until it is right there. An interior point method solves the
 model within a box; an excess over a limit has a price. A step is taken where it gains enough of what the model promised.
 """
@@ -19,7 +19,7 @@ from rvjax.tolerances.allocation.interior import Model, minimum
 GAIN = 1e-5, 5e-4
 """Promised gain, as a part of the cost, below which a search on quick and on costly units ends."""
 
-COARSE = 2e-3
+COARSE = 5e-3
 """The same on a sample that grows afterwards."""
 
 MET = 0.01
@@ -28,14 +28,15 @@ MET = 0.01
 RADIUS, AGAIN = 1.0, 0.3
 """First box of a search, in logarithms of half-widths, and of one that begins at the end of another."""
 
-_LARGEST, _LEAST = 2.0, 1e-3  # boxes
+_LARGEST, _LEAST = 2.0, (1e-3, 1e-2)  # boxes; the least of quick and of costly units
 _TAKEN, _GOOD = 0.05, 0.7  # parts of a promised gain: a step is taken, the box grows
 _SHORTER = 3.0  # times smaller is the box than a step that was not taken
 _FLAT = 0.05  # used way, below which its square has no slope of its own
 _LOST = 3.0  # excess of a limit whose units fail, in parts of its way
-_PRICE, _DEARER = 2.0, 1e4  # of an excess of a whole way, in costs; times that at most
+_PRICE, _DEARER = 1.0, 1e4  # of an excess of a whole way, in costs; times that at most
 _EXACT = 1e-9  # error of a limit without errors at the end of a step, in parts of its way
 _ROUNDS = 8  # of the model, each with these outputs seen at the end of the one before
+_BENT = 0.02  # of a reach: the errors of a shorter step are not those of a curvature
 _AT = 1e-6  # distance from a bound that is none
 _NOTHING = 1e-3  # of the sum of slopes, a cost that is next to nothing
 
@@ -50,6 +51,7 @@ class End:
         at_low: (n,) rate at which the cost grows with each lower bound, not negative.
         at_high: (n,) rate at which it falls with each upper bound, not negative.
         residual: largest saving of an entry that no price accounts for, as a part of all savings.
+        promised: gain that the model promises nearby, as a part of the cost.
         settled: False where the number of looks ended the search.
     """
 
@@ -58,6 +60,7 @@ class End:
     at_low: np.ndarray
     at_high: np.ndarray
     residual: float
+    promised: float
     settled: bool
 
 
@@ -71,13 +74,14 @@ class _Plan:
 
 
 class Programme:
-    """Searches on the constraints of a problem; the curvature of mid-points and numbers is kept between them."""
+    """Searches on the constraints of a problem; what they learn of curvatures is kept between them."""
 
     def __init__(self, constraints: Constraints, look: Callable[[np.ndarray], Look]) -> None:
         self.constraints, self.decisions, self._look = constraints, constraints.decisions, look
         self.low, self.high = self.decisions.low.copy(), self.decisions.high.copy()
         self._first = len(self.decisions.fields)
-        self.bend: np.ndarray | None = None
+        self.bends = np.zeros((len(constraints.rows) + 1, self.decisions.size, self.decisions.size))
+        """Curvatures (c + 1, n, n) of powers of the used ways, and of the loss, besides those of the model, in reaches."""
         self.weights: np.ndarray | None = None
         """Prices (c,) of excesses where these are all that counts, else None."""
 
@@ -94,14 +98,14 @@ class Programme:
         here, looks = self._look(np.clip(start, self.low, self.high)), 1
         size = self._size(here)
         elastic = np.full(len(here.used), _PRICE * size) if self.weights is None else self.weights
-        settled = False
+        settled, least = False, _LEAST[self.constraints.problem.costly]
         while looks < most:
             size = self._size(here)
             plan = self._plan(here, radius, elastic)
             promised = self._merit(here, elastic) - plan.merit
-            if promised <= gain * size or radius < _LEAST:
+            if promised <= gain * size or radius < least:
                 broken = _excess(here) > MET
-                if radius >= _LEAST and self.weights is None and broken.any() and elastic.max() < _DEARER * size:
+                if radius >= least and self.weights is None and broken.any() and elastic.max() < _DEARER * size:
                     elastic = np.where(broken, 10 * elastic, elastic)
                     continue
                 settled = True
@@ -109,10 +113,11 @@ class Programme:
             there, looks = self._look(plan.x), looks + 1
             gained = self._merit(here, elastic) - self._merit(there, elastic)
             step = float(np.abs((plan.x - here.x) / self.decisions.reach).max())
-            self._learn(here, there, plan.prices)
             if gained < _TAKEN * promised or not math.isfinite(gained):
                 radius = min(radius, step) / _SHORTER
+                self._learn(here, there)
                 continue
+            self._learn(there, here)
             if gained > _GOOD * promised:
                 radius = min(_LARGEST, max(radius, 2 * step))
             elif gained < (1 - _GOOD) * promised:
@@ -143,7 +148,10 @@ class Programme:
         at_low[low], at_high[high] = found[: low.sum()], found[low.sum() :]
         savings = float(np.abs(here.slopes).sum() + np.abs(here.priced_slopes + here.loss_slopes).sum())
         savings = max(savings, MET * abs(here.total), 1e-300)
-        return End(here, prices, at_low, at_high, float(np.abs(left).max(initial=0.0)) / savings, settled)
+        elastic = np.full(len(here.used), _PRICE * self._size(here)) if self.weights is None else self.weights
+        promised = (self._merit(here, elastic) - self._plan(here, AGAIN, elastic).merit) / self._size(here)
+        residual = float(np.abs(left).max(initial=0.0)) / savings
+        return End(here, prices, at_low, at_high, residual, promised, settled)
 
     def prices(self, here: Look, radius: float) -> np.ndarray:
         """Prices (c,) of used ways in the model around a look.
@@ -179,6 +187,7 @@ class Programme:
         reach = radius * self.decisions.reach
         low, high = np.maximum(self.low, here.x - reach), np.minimum(self.high, here.x + reach)
         counted, first = float(self.weights is None), self._first
+        curved_rows = self.bends[:-1][units] / np.outer(self.decisions.reach, self.decisions.reach)
         whole = np.concatenate([here.x, _excess(here), [here.priced / size]])
         whole[:n] = np.clip(here.x, low, high)
         ends = np.concatenate([low, np.zeros(c), [-np.inf]]), np.concatenate([high, np.full(c + 1, np.inf)])
@@ -196,6 +205,7 @@ class Programme:
             hessian = np.zeros((n + c + 1, n + c + 1))
             hessian[:n, :n] = counted * curved / size
             hessian[range(first), range(first)] += np.maximum(lam @ bends[units], 0.0)
+            hessian[:n, :n] += np.einsum("k,kij->ij", lam, curved_rows)
             objective = np.concatenate([counted * slopes, elastic, [counted * size]]) / size
             values = np.concatenate([1 + whole[n + units] - used[units], flat])
             return Model(objective[free], hessian[np.ix_(free, free)], values, np.concatenate([own, rates])[:, free])
@@ -219,47 +229,40 @@ class Programme:
         grown = np.exp(p * moved[:first])
         start = np.where(here.powers == 1, base, np.sign(base) * np.abs(base) ** here.powers)
         value = start + (rate[:, :first] / p * (grown - 1)).sum(axis=1) + rate[:, first:] @ moved[first:]
-        slopes = rate[:, :first] * grown
-        return value, np.concatenate([slopes, rate[:, first:]], axis=1), p * slopes
+        slopes, bent = rate[:, :first] * grown, self._bent(moved)[:-1]
+        value += bent @ moved / 2
+        return value, np.concatenate([slopes, rate[:, first:]], axis=1) + bent, p * slopes
 
     def _total(self, here: Look, x: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Cost with losses under the model, without priced outputs, its derivatives (n,) and curvature (n, n)."""
         first, moved = self._first, x - here.x
         cost, slopes, bends = self.decisions.cost(x)
         grown = here.loss_slopes[:first] * np.exp(2 * moved[:first])
-        bend = self._bend(here)
-        bent = bend @ moved[first:]
+        bent = self._bent(moved)[-1]
         loss = here.loss + float((grown - here.loss_slopes[:first]).sum()) / 2
-        loss += float((here.loss_slopes[first:] + bent / 2) @ moved[first:])
-        curved = np.diag(np.maximum(bends + np.concatenate([2 * grown, np.zeros(len(bent))]), 0.0))
-        curved[first:, first:] += bend
-        return cost + loss, slopes + np.concatenate([grown, here.loss_slopes[first:] + bent]), curved
+        loss += float(here.loss_slopes[first:] @ moved[first:] + bent @ moved / 2)
+        curved = np.diag(np.maximum(bends, 0.0))
+        curved[range(first), range(first)] += np.maximum(2 * grown, 0.0)
+        curved += self.bends[-1] / np.outer(self.decisions.reach, self.decisions.reach)
+        return cost + loss, slopes + np.concatenate([grown, here.loss_slopes[first:]]) + bent, curved
 
-    def _bend(self, here: Look) -> np.ndarray:
-        """Curvature of mid-points and numbers; the cost itself to begin with."""
-        if self.bend is None:
-            self.bend = self._size(here) * np.eye(len(here.x) - self._first)
-        return self.bend
+    def _bent(self, moved: np.ndarray) -> np.ndarray:
+        """Derivatives (c + 1, n) of the learned part of the model at a step."""
+        return self.bends @ (moved / self.decisions.reach) / self.decisions.reach
 
-    def _learn(self, old: Look, new: Look, prices: np.ndarray) -> None:
-        """Damped update of the curvature by the slopes of priced used ways and losses."""
-        step, before = (new.x - old.x)[self._first :], self._bend(old)
-
-        def pull(look: Look) -> np.ndarray:
-            rates = look.powers * np.maximum(np.where(np.isfinite(look.used), look.used, 1.0), _FLAT) ** (
-                look.powers - 1
-            )
-            seen = (prices * rates * (look.powers == 2)) @ look.jacobian
-            return (seen + look.loss_slopes)[self._first :]
-
-        towards = before @ step
-        along, change = float(step @ towards), pull(new) - pull(old)
-        if not along > 0:
+    def _learn(self, here: Look, there: Look) -> None:
+        """Bend the model around a look so that it has the values seen at another one."""
+        step = (there.x - here.x) / self.decisions.reach
+        length = float(step @ step)
+        if length < _BENT**2:
             return
-        seen = float(step @ change)
-        part = 1.0 if seen >= 0.2 * along else 0.8 * along / (along - seen)
-        change = part * change + (1 - part) * towards
-        self.bend = before - np.outer(towards, towards) / along + np.outer(change, change) / float(step @ change)
+        told = np.append(self._powers(here, there.x)[0], self._total(here, there.x)[0] - self.decisions.cost(there.x)[0])
+        error = np.append(_power(there), there.loss) - told
+        known = np.append(np.isfinite(here.used) & np.isfinite(there.used), math.isfinite(there.loss))
+        error = np.where(known, error, 0.0)
+        bent = self.bends + 2 * error[:, None, None] * np.outer(step, step) / length**2
+        values, vectors = np.linalg.eigh(bent)  # a model without negative curvatures has one minimum
+        self.bends = np.einsum("kij,kj,klj->kil", vectors, np.maximum(values, 0.0), vectors)
 
     # The order of vectors.
 
@@ -341,8 +344,13 @@ class _Planes:
         return values, slopes
 
 
+def _power(look: Look) -> np.ndarray:
+    """Powers (c,) of the used ways, 1 where units fail."""
+    used = np.where(np.isfinite(look.used), look.used, 1.0)
+    return np.where(look.powers == 1, used, np.sign(used) * np.abs(used) ** look.powers)
+
+
 def _excess(look: Look) -> np.ndarray:
     """Excesses (c,) of powers of the used ways over 1."""
-    used = np.where(np.isfinite(look.used), look.used, 1.0)
-    powers = np.where(look.powers == 1, used, np.sign(used) * np.abs(used) ** look.powers)
-    return np.where(np.isfinite(look.used), np.maximum(powers - 1, 0.0), np.where(np.isneginf(look.used), 0.0, _LOST))
+    over = np.maximum(_power(look) - 1, 0.0)
+    return np.where(np.isfinite(look.used), over, np.where(np.isneginf(look.used), 0.0, _LOST))

@@ -15,6 +15,7 @@ from rvjax.tolerances.allocation.constraints import Constraints, Look
 _INWARD, _OUTWARD = 5.0, 0.7  # reach of a ray, logarithm of the factor
 _IDLE = 0.5  # with a larger factor than this, its logarithm, a limit does not bind
 _STEP, _PART = 0.15, 0.05  # of differences, logarithm of a half-width or part of a range: several units cross
+_MOVED = 0.05  # part of its way by which a limit is moved for its price
 _FINE, _COARSE = 1e-3, 3e-3  # accuracy of a place on a ray and of a difference
 
 
@@ -27,7 +28,7 @@ class Rays:
 
     def look(self, x: np.ndarray) -> Look:
         """Cost and used ways at a vector, those of shares along the ray."""
-        plain = self._constraints.look(x, sloped=False)
+        plain = self._constraints.look(x)
         ends = np.full(len(plain.used), _INWARD), np.full(len(plain.used), _OUTWARD)
         room = self._room(x, -ends[0], ends[1], _FINE)
         slopes = np.stack([self._difference(x, room, j) for j in range(len(x))], axis=1)
@@ -37,6 +38,25 @@ class Rays:
             used=np.where(self._shares, factors, plain.used),
             jacobian=np.where(self._shares[:, None], factors[:, None] * slopes, plain.jacobian),
         )
+
+    def ways(self, x: np.ndarray) -> np.ndarray:
+        """Move of each limit (c,) for a used way, by differences; a limit that nothing moves has an endless one.
+
+        Args:
+            x: vector of decisions.
+        """
+        constraints, rows = self._constraints, self._constraints.rows
+        moves, used = _MOVED * constraints.ways, []
+        for sign in (-1.0, 1.0):
+            constraints.rows = [
+                dataclasses.replace(row, item=row.item.widened(sign * by)) if row.share and row.item else row
+                for row, by in zip(rows, moves)
+            ]
+            used.append(self.look(x).used)
+        constraints.rows = rows
+        rates = np.where(self._shares, (used[0] - used[1]) / (2 * moves), 1 / constraints.ways)
+        with np.errstate(divide="ignore"):
+            return np.asarray(1 / rates)
 
     def _difference(self, x: np.ndarray, room: np.ndarray, j: int) -> np.ndarray:
         """-d log(factor)/d x_j of each limit that may bind."""

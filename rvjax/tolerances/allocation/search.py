@@ -70,7 +70,6 @@ class Search:
         """
         end = self._learned()
         if end.look.excess > MET or self.constraints.missed(end.look) > _EXACTLY:
-            self.programme.bend = None
             shortage = self._shortage(end.look.x)
             if shortage.look.excess > MET:
                 return self._refused(shortage)
@@ -85,12 +84,12 @@ class Search:
                 )
             found = dataclasses.replace(found, graded=rounded)
         self.constraints.rejects, self.constraints.moved = kept
+        count = self.constraints.count
         found = dataclasses.replace(found, curve=self._curve(end, yields))
         if self.problem.variables and self._rays is None:
             self.constraints.rejects, self.constraints.moved = kept[0], kept[1].copy()
             found = dataclasses.replace(found, ranges=ranges(self.constraints, self.programme, end))
-        evaluations = {"search": self.constraints.units.solved, "certificates": self.certifier.solved}
-        return dataclasses.replace(found, evaluations=evaluations | {"sample": self.constraints.count})
+        return dataclasses.replace(found, evaluations=self._evaluations(count))
 
     # The search on a growing sample.
 
@@ -106,7 +105,7 @@ class Search:
         constraints.begin(start)
         lists = Lists(decisions)
         low, high = self.programme.low, self.programme.high = lists.relaxed(decisions.low, decisions.high)
-        several = starts(decisions, start, low, high)
+        several = starts(decisions, start, low, high) if decisions.free or not problem.costly else [start]
         ends = [self._run(x, RADIUS, most=_LOOKS if len(several) > 1 else None) for x in several]
         self.tried = self._told(several, ends) if len(several) > 1 else []
         near = rivals(ends, len(decisions.fields), _RIVALS if not problem.costly else 2)
@@ -282,18 +281,20 @@ class Search:
         cost = end.look.cost + end.look.priced
         if cost > learned + DEARER * abs(learned):
             return "SUBOPTIMAL"
-        steps = len(self.history) < self.problem.max_steps
-        stationary = end.residual <= STATIONARY or self._rays is not None
-        return "OPTIMAL" if steps and end.settled and stationary else "MAX_STEPS"
+        values = not self.problem.losses and all(row.share or row.nominal for row in self.constraints.rows)
+        stationary = end.residual <= STATIONARY or end.promised <= STATIONARY**2 / 2 or (self._rays is not None and values)
+        return "OPTIMAL" if end.settled and stationary else "MAX_STEPS"
 
     def _result(self, end: End, seen: Statistics, learned: float) -> Allocation:
         """Result of an end that was certified."""
         found = self.allocation(end.look, seen, self._status(seen, end, learned), learned)
         reached, slopes = margins_of(self.constraints, end)
+        ways = self.constraints.ways if self._rays is None else self._rays.ways(end.look.x)
+        prices = prices_of(self.constraints, end, end.prices, ways)
         confidence = self.certifier.run.confidence
         return dataclasses.replace(
             found, residual=end.residual, margins=reached, margin_slopes=slopes,
-            multipliers=found.multipliers | {n: -price for n, price in prices_of(self.constraints, end).items()},
+            multipliers=found.multipliers | {n: -price for n, price in prices.items()},
             multiplier_intervals=intervals(self.programme, end, confidence) if self.problem.costly else {},
             value_prices=value_prices(self.decisions, end),
         )  # fmt: skip
@@ -350,7 +351,7 @@ class Search:
         total = look.cost + look.priced
         found = self.allocation(look, seen, "SUBOPTIMAL" if held else "INFEASIBLE", total)
         if held:
-            return dataclasses.replace(found, evaluations=self._evaluations())
+            return dataclasses.replace(found, evaluations=self._evaluations(constraints.count))
         joint, missing = self.problem.joint_target or 0.0, dict[str, float]()
         for k, row in enumerate(constraints.rows):
             if row.item is None:
@@ -366,16 +367,12 @@ class Search:
             found = dataclasses.replace(found, status="NOT_CERTIFIED", feasible=True)
         helps = self._helping(end)
         return dataclasses.replace(
-            found, shortfall=found.shortfall | missing, evaluations=self._evaluations(), helps=helps,
+            found, shortfall=found.shortfall | missing, evaluations=self._evaluations(constraints.count), helps=helps,
             reason=self._reason(missing, helps) if self.problem.variables else None,
         )  # fmt: skip
 
-    def _evaluations(self) -> dict[str, int]:
-        return {
-            "search": self.constraints.units.solved,
-            "certificates": self.certifier.solved,
-            "sample": self.constraints.count,
-        }
+    def _evaluations(self, sample: int) -> dict[str, int]:
+        return {"search": self.constraints.units.solved, "certificates": self.certifier.solved, "sample": sample}
 
     def _helping(self, end: End) -> tuple[str, str] | None:
         """Bound of a number of the design whose move outwards reduces the shortage most."""
@@ -407,6 +404,8 @@ class Search:
 
     def _curve(self, end: End, yields: Sequence[float]) -> list[tuple[float, float]]:
         """(least yield of a requirement, cost) of other targets, ascending; yields are those of independent units."""
+        if not any(row.share for row in self.constraints.rows):
+            return []
         goals = [item.target for item in self.problem.requirements.values() if item.goal == "target"]
         points, constraints, goal = list[tuple[float, float]](), self.constraints, min(goals, default=1.0)
         if self.problem.costly and yields:
