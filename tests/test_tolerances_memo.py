@@ -6,8 +6,8 @@ import pytest
 from oracles.linear_pair import COSTS, LIMIT, PAIR, linear
 from rvjax.response import devices
 from rvjax.tolerances import Requirement, allocate
-from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.allocation import sample
+from rvjax.tolerances.batch.memo import Memo
 
 NEED = Requirement(lower=-LIMIT, upper=LIMIT, target=0.99)
 
