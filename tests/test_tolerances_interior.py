@@ -12,8 +12,8 @@ def problem(seed, n=8, m=4):
     rng = np.random.default_rng(seed)
     a, q = rng.uniform(0.2, 3, n), rng.normal(size=(n, 2)) / 3
     c, g = rng.uniform(0, 1, (m, n)) ** 3, rng.normal(size=(m, n)) / 10
-    b = c.sum(axis=1) * rng.uniform(0.3, 1.5, m)
-    low, high = rng.uniform(-3.0, -1.0, n), rng.uniform(0.5, 1.0, n)
+    b = c.sum(axis=1) * rng.uniform(0.4, 1.5, m)
+    low, high = rng.uniform(-1.5, -0.4, n), rng.uniform(-0.2, 1.0, n)
     low[0], high[1] = -np.inf, np.inf
 
     def value(v):
