@@ -34,7 +34,6 @@ SPARE = 0.85
 """Used way below which a limit does not decide."""
 
 _QUARTER = 4  # times as many quick units as are behind a slope
-_BEHIND = 24  # costly units behind the slope of a quantile, and two for each reject
 _STATISTIC = 1024  # costly units behind the slope of a statistic
 _HALVINGS = 16  # of a factor of 100: an error of 1e-4
 _STEP = 1e-4  # of differences of a worst case, part of a range
@@ -238,7 +237,6 @@ class Constraints:
                 if sloped and len(seen.units) and math.isfinite(seen.level):
                     pulled = {name: pull[seen.units] * seen.weights for name, pull in outward.items()}
                     jacobian[k] = self.units.slope(x, self.tails.z[:, seen.units], pulled) / self.ways[k]
-                    jacobian[k, : len(decisions.fields)] *= seen.ratio
             elif row.exact:
                 used[k], jacobian[k] = self._worst_case(row, x)
             else:
@@ -349,7 +347,6 @@ class Constraints:
                     continue
                 weights = np.where(near < 0, 0.0, weights) * weights.sum() / weights[near >= 0].sum()
                 used[k], jacobian[k] = 1 + there.level / self.ways[k], rates[:, near] @ weights
-                jacobian[k, : len(self.decisions.fields)] *= there.ratio
             yield used, jacobian
 
     def leading(self, x: np.ndarray) -> dict[str, float]:
@@ -365,11 +362,9 @@ class Constraints:
     ) -> Quantile:
         rejects = float(self.rejects[k]) if rejects is None else float(rejects)
         count = len(margins)
-        near = min(PULLED, int(2 * count * rejects) + _BEHIND) if self.problem.costly else count // _QUARTER
+        near = PULLED if self.problem.costly else count // _QUARTER
         weights = self.tails.weights[:count] if weights is None else weights
-        item, plain = self.rows[k].item, self.tails.plain
-        sides = 1 if item is not None and not math.isfinite(item.upper - item.lower) else 2
-        return quantile(margins, weights, rejects, float(self.ways[k]), near, plain=plain, sides=sides)
+        return quantile(margins, weights, rejects, float(self.ways[k]), near)
 
     def _margins(self, k: int, values: Values) -> tuple[np.ndarray, Values]:
         """Margins (n,) of the units of a row on a share, and their derivatives (n,) to each response."""

@@ -16,9 +16,9 @@ from scipy import special
 PLAIN_SHARE = 0.25
 """Share of the units without importance: no weight exceeds its reciprocal."""
 
+_WIDE, _FEWEST = math.log(3), 16  # logarithm of a rank over that of a quantile, and units, that it is formed of
 _ALIKE = 0.9  # cosine of two directions that one centre serves
 _CENTRES = 8  # of one requirement, at most
-_EXTENDED = 8  # units of a plain sample beyond a quantile, at least; a farther tail is extended as a normal one
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,11 +76,11 @@ class TailSample:
 
     def __init__(self, z: np.ndarray, seed: int, centres: Centres | None = None) -> None:
         """Units of a plain sample z; with `centres` they are moved there."""
-        self.z, self.weights, self.plain = z, np.ones(z.shape[1]), True
+        self.z, self.weights = z, np.ones(z.shape[1])
         if centres is None or not len(centres.places) or not len(z):
             return
         rng, samples = np.random.default_rng(seed), z.shape[1]
-        self.z, self.plain = rng.standard_normal(z.shape), False
+        self.z = rng.standard_normal(z.shape)
         counts = np.floor((1 - PLAIN_SHARE) * samples * centres.shares).astype(int)
         first, density = 0, np.full(samples, (samples - counts.sum()) / samples)
         for place, count in zip(centres.places, counts):
@@ -106,58 +106,51 @@ class TailSample:
 
 @dataclasses.dataclass(frozen=True)
 class Quantile:
-    """The margin beyond which a share of the units lies, and the units near it.
+    """The margin beyond which a share of the units lies: a sum of margins near it.
 
     Attributes:
         level: the margin; inf where more units have failed, -inf where none is finite.
         units: (m,) near the quantile; none where it is not finite.
-        weights: (m,) of these in its derivative, adding up to 1.
-        ratio: of its way from the median to that of these units.
+        weights: (m,) of their margins in it, adding up to 1.
     """
 
     level: float
     units: np.ndarray
     weights: np.ndarray
-    ratio: float = 1.0
 
 
-def quantile(
-    margins: np.ndarray, weights: np.ndarray, rejects: float, way: float, near: int, *, plain: bool, sides: int
-) -> Quantile:
-    """Smooth quantile of weighted units: their mean over ranks near it, so that its derivative is that of these units.
+def quantile(margins: np.ndarray, weights: np.ndarray, rejects: float, way: float, near: int) -> Quantile:
+    """Smooth quantile of weighted units: a line through the margins of units near it, over the logarithm of their rank.
 
-    A normal response gives the ratio of the quantile to this mean, both as ways from the median. The ratio also extends
-    the tail of a plain sample with few units beyond. A unit infinitely far inside (an infinite life) counts as one that
-    lies `way` inside.
+    So its derivative is a sum of those of these units, and tails may be as heavy as those of a pin force are. The line
+    also extends a tail with few units beyond. A unit infinitely far inside (an infinite life) counts as one that lies
+    `way` inside.
 
     Args:
         margins: (n,) of the units, inf where one failed.
         weights: (n,) of the units, 1 on average.
         rejects: share of the units.
         way: of the limit.
-        near: units behind the derivative.
-        plain: True where all weights are 1.
-        sides: 2 where units beyond two limits are rejects, else 1.
+        near: units behind the derivative, at most.
     """
     nothing = np.zeros(0, int), np.zeros(0)
     order = np.argsort(-margins, kind="stable")
     mass = weights[order] / weights.sum()
     beyond = np.cumsum(mass) - mass / 2
-    known = max(rejects, min(_EXTENDED / len(margins), 0.5)) if plain else rejects
     lost = int((margins == math.inf).sum())
     if lost and mass[:lost].sum() >= rejects:
         return Quantile(math.inf, *nothing)
     if lost == len(margins) or np.isneginf(margins).all():
         return Quantile(-math.inf, *nothing)
-    at = lost + float(np.interp(known, beyond[lost:], np.arange(len(margins) - lost)))
-    half = max(near // 2, 1)
-    first, last = max(lost, math.ceil(at) - half), min(len(margins), math.ceil(at) + half)
-    units = order[first:last]
-    shares = np.maximum(1 - np.abs(np.arange(first, last) - at) / (half + 1), 0.0) * mass[first:last]
+    rank = -np.log(beyond[lost:])
+    far = np.abs(rank + math.log(rejects))  # the outermost units, which may lie anywhere, do not count
+    nearest = np.argsort(far, kind="stable")[: max(min(int((far < _WIDE).sum()), near), _FEWEST)]
+    first, last = lost + int(nearest.min()), lost + int(nearest.max()) + 1
+    units, rank, far = order[first:last], rank[first - lost : last - lost], far[first - lost : last - lost]
+    shares = np.maximum(1 - far / (far.max() * (1 + 1 / len(far))), 0.0) * mass[first:last]
     shares /= shares.sum()
-    finite = np.maximum(margins, -way)
-    median = float(np.interp(0.5, beyond[lost:], finite[order[lost:]]))
-    mean = float(shares @ finite[units])
-    deviate = lambda share: special.ndtri(1 - np.minimum(share, 0.9) / sides)  # noqa: E731
-    ratio = float((deviate(rejects) - deviate(0.5)) / (shares @ deviate(beyond[first:last]) - deviate(0.5)))
-    return Quantile(median + (mean - median) * ratio, units, np.where(np.isfinite(margins[units]), shares, 0.0), ratio)
+    away = rank - shares @ rank
+    spread = float(shares @ away**2)
+    line = shares * (1 + away * float(-math.log(rejects) - shares @ rank) / spread) if spread > 0 else shares
+    level = float(line @ np.maximum(margins[units], -way))
+    return Quantile(level, units, np.where(np.isfinite(margins[units]), line, 0.0))
