@@ -249,4 +249,4 @@ def test_a_curve_at_the_finest_half_widths():
     options = dict(costs=costs, samples=1000, seed=1, certificate_samples=20_000)
     curve = cost_curve(Linear({"a": 1.0, "b": 1.0}), half, required, values=(0.95,), against="target", **options)
     assert curve.allocations[0].half_widths == {"a": 0.5, "b": 0.5} and curve.allocations[0].feasible
-    assert curve.learned == pytest.approx((4.0,), rel=1e-3)
+    assert curve.learned == pytest.approx((4.0,), rel=5e-3)
