@@ -29,6 +29,7 @@ DEARER = 0.2
 """Part of the learned cost by which a certified one may exceed it and still be called the cheapest."""
 
 _BEYOND = 40  # units of the last sample beyond each limit that decides
+_STAGES = 2048, 4096  # costly units of samples between the first and the last one
 _MOST = 16_384  # costly units of a sample, at most
 _TESTS = 6  # certificates of one search, at most
 _WORTH = 1e-3  # gain of the cost, as a part of it, for which another one is computed
@@ -137,7 +138,7 @@ class Search:
                 for k, r in enumerate(self.constraints.rows) if r.share and look.used[k] > SPARE]  # fmt: skip
         wanted = 2 ** math.ceil(math.log2(_BEYOND / min(near, default=1.0)))
         last = min(max(wanted, self.problem.sample, FEW), _MOST)
-        return [*([2048] if last > 2048 else []), last] if last > FEW else []
+        return [*(count for count in _STAGES if count < last), last] if last > FEW else []
 
     def _grow(self, count: int, look: Look) -> None:
         self.constraints.spare(look)
