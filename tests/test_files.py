@@ -203,6 +203,14 @@ WRONG = {
     "sec": ("angle [deg],error [sec]\n1,2\n", ["unit 'sec' is not known (did you mean arcsec?)"]),
     "grad": ("angle [grad],error [arcsec]\n1,2\n", ["unit 'grad' is not known; write"]),
     "count": ("angle [count],error [arcsec]\n1,2\n", ["needs the counts per turn", "counts_per_turn = 524288 }"]),
+    "a unit of another size": (
+        "torque [MN m],angle [deg]\n1,2\n",
+        ["unit 'MN m' is not known; write the numbers in another one", 'under "torque [N m]" (N m, kN m'],
+    ),
+    "a unit of another size in a foreign name": (
+        "Moment [MN m],angle [deg]\n1,2\n",
+        ['such as error = "Moment [MN m]"'],
+    ),
     "no column left": (
         "torque [N m]\n1\n",
         ["columns torque: what is needed", "the file has the columns torque [N m]"],
@@ -323,6 +331,15 @@ def test_a_study_of_the_reducer_alone_compensates(tmp_path, monkeypatch, capsys)
     (tmp_path / "nothing.toml").write_text("[about]\ntitle = 'x'\n")
     assert cli.main(["compensate", "nothing.toml", "curve.csv"]) == 2
     assert "nothing: [design] is missing or empty" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("said", ["kN m", "ozf in", "gf·cm", "kg cm", "N･cm"])
+def test_the_unit_of_a_header_and_another_one_in_columns_are_refused(write, said):
+    path = write(f"torque [{said}],angle [deg]\n1,2\n")
+    with pytest.raises(ValueError, match=rf"columns.torque.unit = 'N m': the header says '{said}'; remove one"):
+        read_table(path, {"torque": {"column": f"torque [{said}]", "unit": "N m"}})
+    same_unit = read_table(path, {"torque": {"column": "torque", "unit": said}})
+    assert same_unit.numbers["torque"] == read_table(path).numbers["torque"]
 
 
 def test_measured_parts_have_units_in_any_brackets(write):

@@ -13,7 +13,6 @@ import numpy as np
 from rvjax._ground import columns
 from rvjax._ground.axes import axis_sizes
 from rvjax._ground.cells import MARKS, read_cells
-from rvjax._ground.choices import unknown
 from rvjax._ground.numbers import number_of
 from rvjax._ground.repr import value_text
 from rvjax.assembly import (
@@ -32,7 +31,7 @@ from rvjax.mounting import AXES, carried, disc_mountings, drawing
 from rvjax.records import PyTree
 from rvjax.study import KINDS, Study, StudyError, kind_of
 from rvjax.tolerances import Requirement, Tolerance
-from rvjax.units import KNOWN, recognised
+from rvjax.units import KNOWN, recognised, unknown_unit
 
 WORDS = ("kind", "id", "stock")
 REST = "rest"
@@ -314,7 +313,7 @@ def _column(
         raise StudyError(f"{path}: column {column!r}: parts of kind {kind!r} have {', '.join(shapes)}")
     units, known = KNOWN[study.unit(field)], recognised(unit, KNOWN[study.unit(field)])
     if known is None:
-        raise StudyError(str(unknown(f"{path}: column {column!r}: unit {unit!r}", unit, units, " is not one of")))
+        raise StudyError(str(unknown_unit(f"{path}: column {column!r}: unit {unit!r}", unit, units)))
     shape = shapes[field]
     if len(place) != len(shape) or any(k >= size for k, size in zip(place, shape)):
         raise StudyError(f"{path}: column {column!r}: {field} of this part has the shape {shape}")

@@ -7,11 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
 
-from rvjax._ground.choices import unknown
 from rvjax._ground.columns import read_table
 from rvjax.population.distribution import Distribution, Moments, bad
 from rvjax.records import IN_ERROR_UNIT, Array, Scalar, concrete, field, is_concrete, record
-from rvjax.units import KNOWN, recognised
+from rvjax.units import KNOWN, recognised, unknown_unit
 
 if TYPE_CHECKING:
     from rvjax.population.tolerance import Tolerance
@@ -112,7 +111,7 @@ class Empirical(Distribution):
             raise ValueError(f"{key}: give file, column and unit as texts, not {', '.join(value)}")
         units = {"-": 1.0} if unit == "-" else KNOWN[unit]
         if "unit" in value and recognised(value["unit"], units) is None:
-            raise unknown(f"{key}.unit = {value['unit']!r}", value["unit"], units, ": is not one of")
+            raise unknown_unit(f"{key}.unit = {value['unit']!r}", value["unit"], units, ": is not one of")
         column = {name: value[name] for name in ("column", "unit") if name in value}
         try:
             read = read_table(value["file"], {key: column}, units={key: units})
