@@ -88,7 +88,7 @@ _ALIASES = {
 _ALIAS = {word: unit for unit, words in _ALIASES.items() for word in words}
 _PRIMES = str.maketrans({"º": "°", "′": "'", "’": "'", "‘": "'", "´": "'", "″": '"', "”": '"', "“": '"', "˝": '"'})
 _BETWEEN = re.compile(r"[\s·・*.⋅∙•‧×^_-]+")
-_SLIP = 0.85  # likeness of a misspelt word; all such words have more letters than a unit with a prefix
+_LIKE = 0.85  # likeness of a misspelt word; all such words have more letters than a unit with a prefix
 
 # The unit in which a person reads a manufacturing error or a response.
 READ_IN = {"m": "um", "m3": "cm3", "rad": "arcmin", "Pa": "MPa"}
@@ -134,7 +134,7 @@ def unknown_unit(what: str, name: str, known: Collection[str], rule: str = " is 
 
 
 def intended(name: str, known: Collection[str]) -> str | None:
-    """Return the unit with another spelling, or with a slip in a long word; None if it may be a unit of another size.
+    """Return the unit with another spelling, or misspelt if it is a long word; None if it may be a unit of another size.
 
     Args:
         name: as written.
@@ -144,7 +144,7 @@ def intended(name: str, known: Collection[str]) -> str | None:
         return found
     words = {word: unit for word, unit in (_ALIAS | {unit: unit for unit in known}).items() if unit in known}
     bare = _BETWEEN.sub("", spelling(name)).casefold()
-    near = difflib.get_close_matches(bare, [word for word in words if len(word) > 5 and word.isalpha()], 1, _SLIP)
+    near = difflib.get_close_matches(bare, [word for word in words if len(word) > 5 and word.isalpha()], 1, _LIKE)
     return words[near[0]] if near and not bare.endswith(near[0]) else None  # "marcsec" is smaller
 
 

@@ -157,7 +157,7 @@ def mapping(
 
 
 def _line(name: str, column: str, unit: str | None) -> str:
-    if unit is None:  # of the header, unknown: no other one can stand for it
+    if unit is None:  # of the header, unknown: another one has another size
         return f"{name} = {json.dumps(column, ensure_ascii=False)}"
     counts = ", counts_per_turn = 524288" if unit == "count" else ""
     return f'{name} = {{ column = {json.dumps(column, ensure_ascii=False)}, unit = "{unit}"{counts} }}'
