@@ -134,7 +134,7 @@ def unknown_unit(what: str, name: str, known: Collection[str], rule: str = " is 
 
 
 def intended(name: str, known: Collection[str]) -> str | None:
-    """Return the unit with another spelling, or misspelt if it is a long word; None if it may be a unit of another size.
+    """Return the unit with another spelling, or a long word misspelt; None if the unit may have another size.
 
     Args:
         name: as written.

@@ -146,6 +146,49 @@ def test_the_degree_sign_of_any_encoding(write, encoding):
     assert bool(guessed) == (encoding in ("cp1252", "latin-1", "gb18030"))
 
 
+SCRIPTS = {
+    "cp932": [
+        "角度（度）,誤差（秒）",
+        "回転角[°],伝達誤差[″]",
+        "ねじれ角,エラー",
+        "角度,ﾄﾙｸ",
+        "外径,項目",
+    ],
+    "euc_jp": ["角度[deg],誤差[秒]", "測定番号,入力角度", "減速機入力回転数,起動トルク"],
+    "cp949": ["각도[deg],오차[초]", "하중 [N],변위 [mm]", "시료,각"],
+    "cp950": ["角度（度）,誤差（秒）", "批號,零件名", "輸出軸扭矩,溫度"],
+    "gb18030": ["角度（度）,误差（秒）", "传动误差,备注：无", "好,x", "谐波减速器,样品"],
+    "cp1251": ["угол [град],ошибка [угл.сек]", "Крутящий момент [Н·м],Угол", "Дата,НОМЕР"],
+    "cp1252": ["Winkel [°],Fehler [µm]", "Größe,Verzögerung", "Couple à vide,Fréquence", "Ø,± 1"],
+}
+
+
+@pytest.mark.parametrize("encoding", SCRIPTS)
+def test_an_old_encoding_is_guessed_by_words_of_a_bench(write, encoding):
+    for head in SCRIPTS[encoding]:
+        text = f"{head},{PLAIN}\n" + "".join(f"0,0,{row}\n" for row in rows().split())
+        table = read_table(write(text.encode(encoding)))
+        assert table.header[:2] == tuple(head.split(",")), head
+        assert table.notes[0].startswith(f"the file is not UTF-8; it is read as {encoding} (")
+
+
+def test_the_encoding_may_be_named(write, tmp_path, capsys):
+    path = write("úhel [deg];převod\n1;2\n".encode("cp1250"))
+    assert "is read as cp1252 (western Europe); another one: --encoding" in message(path, {"angle": "uhel"})
+    assert "is read as cp1252 (western Europe); another one: --encoding" in message(path)
+    table = read_table(path, {"angle": "úhel"}, encoding="cp1250")
+    assert table.header == ("úhel [deg]", "převod") and "UTF-8" not in "".join(table.notes)
+    with pytest.raises(ValueError, match=r"encoding = 'cp125' .*must be one of utf-8"):
+        read_table(path, encoding="cp125")
+    with pytest.raises(ValueError, match=r"cannot be read as text \('ascii' codec"):
+        read_table(path, encoding="ascii")
+    lot = write("Größe;pin_radius [um]\n1;1,5\n2;2,5\n".encode("cp1252"))
+    assert measured_parts(lot, {"pin_radius": "pin_radius"}, encoding="cp1252").columns["pin_radius"].n == 2
+    (tmp_path / "reducer.toml").write_text(REDUCER.partition("[columns]")[0])
+    assert cli.main(["compensate", str(tmp_path / "reducer.toml"), str(path), "--encoding", "cp125"]) == 2
+    assert "encoding = 'cp125'" in capsys.readouterr().err
+
+
 def test_chinese_words_of_an_old_program(write):
     text = "时间（s）,角度（°）,误差（″）,备注\n" + "".join(f"0,{line},好\n" for line in rows().split())
     for encoding in ("utf-8", "gb18030", "utf-16"):

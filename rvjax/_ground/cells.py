@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rvjax._ground.encoding import text_of
 from rvjax.units import KNOWN, recognised
 
 DELIMITERS = ";\t,|"
@@ -104,6 +105,7 @@ def read_cells(
     *,
     short: bool = False,
     named: Callable[[str], int] = lambda cell: 0,
+    encoding: str | None = None,
 ) -> Cells:
     """Header and rows of a table, with any separator of the cells.
 
@@ -114,12 +116,13 @@ def read_cells(
         example: of a header, for the message.
         short: rows may lack their last cells, which are empty.
         named: how certainly a cell is the header of a column that is wanted; 0 if it is none.
+        encoding: of the file, such as "cp932"; None: UTF-8, UTF-16 or a guess.
 
     Raises:
         ValueError: no table.
         FileNotFoundError: there is no such file.
     """
-    text, notes = _text(Path(path))
+    text, notes = text_of(Path(path), encoding)
     lines = text.rstrip("\x1a").replace("\r\n", "\n").replace("\r", "\n").removesuffix("\n").split("\n")
     filled = [k for k, line in enumerate(lines) if line.strip()]
     if not filled or "\0" in text:
@@ -157,34 +160,6 @@ def read_cells(
         return Cells(header, body, mode.delimiter != ",", tuple(notes))
     assert failure is not None
     raise failure
-
-
-def _text(path: Path) -> tuple[str, list[str]]:
-    """Content of a file, and how it was decoded if it is not UTF-8."""
-    try:
-        content = path.read_bytes()
-        if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
-            return content.decode("utf-16"), []
-        head = content[:400]
-        if b"\0\0" not in head and 5 * head.count(0) >= 2 * len(head) > 4:  # UTF-16: about every second byte is 0
-            return content.decode("utf-16-be" if head[0] == 0 else "utf-16-le"), []
-        return content.decode("utf-8-sig"), []
-    except FileNotFoundError:
-        raise FileNotFoundError(f"{path}: no such data file") from None
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be read as text ({error}); save it as UTF-8") from None
-    except UnicodeDecodeError as error:
-        if content[:2] == b"PK" or re.search(rb"[\0-\x08\x0e-\x19\x1b-\x1f]", content):
-            hint = "; save the sheet of a workbook as CSV" if content[:2] == b"PK" else ""
-            raise ValueError(f"{path}: cannot be read as text ({error}); save it as UTF-8{hint}") from None
-    # GB 2312 has pairs of high bytes; a degree sign of Windows is one between ASCII.
-    pairs = all(len(run) % 2 == 0 and min(run) > 0xA0 for run in re.findall(rb"[\x80-\xff]+", content))
-    for encoding in ("gb18030", "cp1252") if pairs else ("cp1252", "gb18030"):
-        try:
-            return content.decode(encoding), [f"the file is not UTF-8; it is read as {encoding}"]
-        except UnicodeDecodeError:
-            continue
-    return content.decode("latin-1"), ["the file is not UTF-8; it is read as latin-1"]
 
 
 def _header(lines: Sequence[str], filled: Sequence[int], named: Callable[[str], int]) -> tuple[int, str, list[_Mode]]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from rvjax._ground.cells import MARKS, UNITS, Row, listed, narrow, read_cells
 from rvjax._ground.choices import unknown
+from rvjax._ground.encoding import guessed
 from rvjax._ground.numbers import grouping_of, has_decimal_comma, last_digit, number_of
 from rvjax.units import intended, recognised, spelling
 
@@ -66,6 +67,7 @@ def read_table(
     enough: Iterable[Collection[str]] = (),
     at: Mapping[str, int] | None = None,
     named: Callable[[str], bool] = lambda header: False,
+    encoding: str | None = None,
 ) -> Table:
     """A table from a text file. Commas, semicolons, tabs or spaces separate cells; decimal commas if no comma does.
 
@@ -78,6 +80,7 @@ def read_table(
         enough: sets of quantities; if the plain headers have one of them, other spellings are not read.
         at: {quantity: number of its column}, where the caller has chosen it.
         named: further names by which the line of the header is found.
+        encoding: of the file, such as "cp932"; None: UTF-8, UTF-16 or a guess.
 
     Raises:
         ValueError: one line that names the file, the column or the row, its value and the unit.
@@ -96,8 +99,11 @@ def read_table(
             return 0
         return 2 if unit and recognised(unit, UNITS) else 1
 
-    cells = read_cells(path, named=known)
-    places, notes = _places(source, cells.header, columns, units, words, [*map(set, enough)], at or {})
+    cells = read_cells(path, named=known, encoding=encoding)
+    try:
+        places, notes = _places(source, cells.header, columns, units, words, [*map(set, enough)], at or {})
+    except ValueError as error:
+        raise ValueError("; ".join([str(error), *guessed(cells.notes)])) from None
     if any(place.column == 0 and name in units for name, place in places.items()):
         body: list[Row] = [(k, row) for k, row in cells.body if not row[0].lstrip().startswith(MARKS)]
         if marked := [str(k) for k, row in cells.body if row[0].lstrip().startswith(MARKS)]:

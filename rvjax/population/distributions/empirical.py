@@ -105,7 +105,7 @@ class Empirical(Distribution):
             if not isinstance(value, list):
                 raise ValueError(f"{key} = {value!r}: must be a list, or a table of file, column and unit")
             return super().parsed(key, value, unit)
-        if not {"file", "column"} <= set(value) <= {"file", "column", "unit"} or not all(
+        if not {"file", "column"} <= set(value) <= {"file", "column", "unit", "encoding"} or not all(
             isinstance(item, str) for item in value.values()
         ):
             raise ValueError(f"{key}: give file, column and unit as texts, not {', '.join(value)}")
@@ -114,7 +114,7 @@ class Empirical(Distribution):
             raise unknown_unit(f"{key}.unit = {value['unit']!r}", value["unit"], units, ": is not one of")
         column = {name: value[name] for name in ("column", "unit") if name in value}
         try:
-            read = read_table(value["file"], {key: column}, units={key: units})
+            read = read_table(value["file"], {key: column}, units={key: units}, encoding=value.get("encoding"))
         except OSError as error:
             raise ValueError(f"{key}.file = {value['file']!r}: cannot be read ({error})") from None
         values = read.numbers[key][~np.isnan(read.numbers[key])]  # an empty cell is a part that was not measured
