@@ -22,6 +22,7 @@ SCRIPTS = {
 GUESSED = "the file is not UTF-8; it is read as"
 """Begin of the note on a guess."""
 
+_OTHER = "another one: --encoding, in Python encoding="
 _SAMPLE = 200  # lines with letters beyond ASCII that decide
 _SIGNS = "°′″µμ²·∙⋅・､±×℃№、。，；：（）［］｛｝【】〔〕"
 _WORDS = (
@@ -79,7 +80,7 @@ def text_of(path: Path, encoding: str | None = None) -> tuple[str, list[str]]:
             ]
         except UnicodeDecodeError:
             continue
-    return content.decode("latin-1"), [f"{GUESSED} latin-1; another one: --encoding, in Python encoding="]
+    return content.decode("latin-1"), [f"{GUESSED} latin-1; {_OTHER}"]
 
 
 def guessed(notes: Iterable[str]) -> list[str]:
