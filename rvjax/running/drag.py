@@ -63,7 +63,7 @@ def fit_drag(speed: Array | np.ndarray, torque: Array | np.ndarray) -> DragFit:
             k = int(np.argmin(np.abs(np.asarray(speed))))
             raise ValueError(f"speed[{k}] = 0 rad/s: a point at rest has no direction of friction; leave it out")
     found = _fit_drag(speed, torque)
-    if concrete(speed, torque) and np.isfinite(found.residual_sd):
+    if concrete(found.residual_sd) and np.isfinite(found.residual_sd):
         _check(np.asarray(speed), np.asarray(torque), found)
     return found
 
@@ -83,8 +83,8 @@ def _check(speed: np.ndarray, torque: np.ndarray, found: DragFit) -> None:
         if side * (mean := torque[own].mean()) <= 0 or (against & own).any():
             k = int(np.argmin(np.where(own, way * torque, np.inf)))
             raise ValueError(
-                f"torque[{k}] = {torque[k]:g} N m at {speed[k]:g} rad/s (mean of this direction {mean:g} N m): a torque "
-                "that keeps a speed has its sign; check the signs and subtract the zero of the bench"
+                f"torque[{k}] = {torque[k]:g} N m at {speed[k]:g} rad/s (mean of this direction {mean:g} N m): a "
+                "torque that keeps a speed has its sign; check the signs and subtract the zero of the bench"
             )
     for name, unit in (("coulomb", "N m"), ("viscous", "N m s/rad")):
         value, spread = (float(getattr(found, key)) for key in (name, f"{name}_sd"))
