@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from rvjax import cli, measured, study
+from rvjax._ground.cells import read_cells
 from rvjax.commands.compensate import corrections
 from rvjax.designs import RVReducer
 from rvjax.measured import read_table
+from rvjax.render import as_csv
 from rvjax.tolerances import measured as measured_parts
 from rvjax.units import arcsec, deg, rpm, um
 
@@ -254,6 +256,11 @@ WRONG = {
         "Moment [MN m],angle [deg]\n1,2\n",
         ['such as error = "Moment [MN m]"'],
     ),
+    "two encoders": (
+        "time [s],motor encoder [deg],output encoder [deg]\n0,1,2\n",
+        ["of two encoders, the error is the angle of the output less that of the input over the ratio"],
+    ),
+    "formula": (f"{PLAIN}\n0.5,1\n=A2+1,2\n", ["angle = '=A2+1': must be a number in deg; save the values"]),
     "no column left": (
         "torque [N m]\n1\n",
         ["columns torque: what is needed", "the file has the columns torque [N m]"],
@@ -383,6 +390,32 @@ def test_the_unit_of_a_header_and_another_one_in_columns_are_refused(write, said
         read_table(path, {"torque": {"column": f"torque [{said}]", "unit": "N m"}})
     same_unit = read_table(path, {"torque": {"column": "torque", "unit": said}})
     assert same_unit.numbers["torque"] == read_table(path).numbers["torque"]
+
+
+def test_a_comma_in_the_brackets_of_a_header_needs_no_quotes(write):
+    text = "kind,id,disc_bore[0,1] [um],disc_bore[1,0] [um],note (a, b),x)\ndisc,a,1,2,n,y\n"
+    plain = read_cells(write(text))
+    quoted = 'kind,id,"disc_bore[0,1] [um]","disc_bore[1,0] [um]","note (a, b)",x)\ndisc,a,1,2,n,y\n'
+    assert (plain.header, plain.body) == (read_cells(write(quoted)).header, [(2, ["disc", "a", "1", "2", "n", "y"])])
+    lot = measured_parts(write("disc_bore[0,0] [um];disc_bore[0,1] [um]\n1;2\n3;4\n".replace(";", ",")))
+    assert list(lot.columns) == ["disc_bore[0,0]", "disc_bore[0,1]"]
+
+
+def test_no_text_of_a_result_is_a_formula():
+    rows = [["=1+1", 1.5], ["@SUM(A1)", None], ["+- 0.2 arcsec", -2.0], ["-", "-"], ["-1.5", "+2e-3"], ["a=b", "-x"]]
+    lines = as_csv(["name", "=value"], rows).decode().split("\n")[:-1]
+    assert lines == ["name,'=value", "'=1+1,1.5", "'@SUM(A1),", "'+- 0.2 arcsec,-2.0", "-,-", "-1.5,+2e-3", "a=b,'-x"]
+
+
+def test_a_row_of_very_many_columns_is_one_message(write):
+    for text in (
+        ",".join(["1"] * 200_000),
+        ",".join(f"c{k} [deg]" for k in range(200_000)),
+        PLAIN + "\n" + "1;" * 200_000,
+    ):
+        assert "200000 columns, at most 10000" in message(write(text)) or "200001 columns, at most" in message(
+            write(text)
+        )
 
 
 def test_measured_parts_have_units_in_any_brackets(write):

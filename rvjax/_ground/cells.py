@@ -14,6 +14,7 @@ from rvjax.units import KNOWN, recognised
 DELIMITERS = ";\t,|"
 MARKS = ("#", "%", "//", ";", "!", "*")  # of a comment
 SHOWN = 12  # texts in a message
+COLUMNS = 10_000  # of a table
 SEARCHED = 200  # lines in which the header may be
 Row = tuple[int, list[str]]
 """Line of the file, cells."""
@@ -58,9 +59,18 @@ class _Mode:
         if self.spaced:
             return _spaced(lines[0], self.delimiter, names=True)
         try:
-            return next(self._reader(f"{line}\n" for line in lines[:5]), [])
+            return self.names(next(self._reader(f"{line}\n" for line in lines[:5]), []))
         except csv.Error:
             return []
+
+    def names(self, cells: Sequence[str]) -> list[str]:
+        """Cells of a header: one such as "disc_bore[0,1] [um]" without quotes is a single one."""
+        found = list(cells)
+        for k in [k for k, cell in enumerate(cells) if _open(cell) > 0][::-1]:
+            end = next((j for j in range(k + 1, len(found)) if _open(found[j])), len(found))
+            if end < len(found) and _open(found[k]) + _open(found[end]) == 0:
+                found[k : end + 1] = [self.delimiter.join(found[k : end + 1])]
+        return found
 
     def fits(self, cells: Sequence[str], below: Sequence[str]) -> bool:
         """True if a line below a header has as many cells, one of them a number."""
@@ -77,6 +87,11 @@ class _Mode:
 
     def _reader(self, lines: Iterator[str]) -> Any:
         return csv.reader(lines, delimiter=self.delimiter, strict=True, skipinitialspace=self.skip)
+
+
+def _open(text: str) -> int:
+    """Brackets that open less those that close."""
+    return sum((char in "([{") - (char in ")]}") for char in narrow(text))
 
 
 def narrow(text: str) -> str:
@@ -125,6 +140,9 @@ def read_cells(
     text, notes = text_of(Path(path), encoding)
     lines = text.rstrip("\x1a").replace("\r\n", "\n").replace("\r", "\n").removesuffix("\n").split("\n")
     filled = [k for k, line in enumerate(lines) if line.strip()]
+    widest = max((line.count(mark) for k in filled[:SEARCHED] for line in [lines[k]] for mark in DELIMITERS), default=0)
+    if widest >= COLUMNS:
+        raise ValueError(f"{path}: {widest + 1} columns, at most {COLUMNS}; a table has a row for each reading")
     if not filled or "\0" in text:
         raise ValueError(f'{path}: no table; the first line must name the columns, such as "{example}"')
     at, head, modes = _header(lines, filled, named)
@@ -232,7 +250,7 @@ def _fitted(path: str | Path, mode: _Mode, lines: Sequence[str], short: bool) ->
     except csv.Error as error:
         raise ValueError(f"{path}: not a table of cells between {mode.delimiter!r} ({error})") from None
     first = next(line for line in lines if line.strip())
-    header = [name.strip() for name in (mode.header([first]) if mode.spaced else cells[0][1])]
+    header = [name.strip() for name in (mode.header([first]) if mode.spaced else mode.names(cells[0][1]))]
     body, comments = [], list[str]()
     ends = 1 + max((k for k, (_, row) in enumerate(cells) if len(row) == len(header)), default=0)
     for k, (number, row) in enumerate(cells[1:], 1):

@@ -1,6 +1,7 @@
 """Columns of a measured table: which column is which quantity, in which unit, read to SI."""
 
 import difflib
+import functools
 import json
 import math
 import re
@@ -292,6 +293,7 @@ def _placed(
     raise ValueError(f"{source}: column {text!r}: {wrong}; {write}; the file has the columns {listed(header)}")
 
 
+@functools.lru_cache(4096)
 def _key(text: str) -> str:
     """A name without capitals; spaces, underscores and hyphens are alike."""
     return re.sub(r"[\s_-]+", "_", narrow(text).strip(" _,:/-").casefold())
@@ -312,11 +314,13 @@ def loosely(header: str, units: Units, words: Iterable[str] = ()) -> tuple[str, 
         words: columns of text that are wanted; they have no unit.
     """
     head, unit = name_and_unit(header)
+    key, text = _key(head), narrow(header).strip()
     for name in [*units, *words]:
-        if _key(head) == _key(name):
+        if key == _key(name):
             return (name, unit) if unit is None or recognised(unit, UNITS) else None
-    text = narrow(header).strip()
     for name, own in units.items():
+        if not text.casefold().startswith(name.split("_")[0].casefold()):
+            continue
         start = r"[\s_-]+".join(map(re.escape, name.split("_")))
         for pattern in (rf"{start}{_BETWEEN}(.+)", rf"{start}\s*([°º′″'\"].*)"):
             match = re.fullmatch(pattern, text, re.IGNORECASE)

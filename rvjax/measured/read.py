@@ -175,7 +175,14 @@ def _named(table: Table, needs: Sequence[str]) -> str:
     near = {text: cells.nearest(text, needs) for text in table.header if text not in taken}
     meant = [f"did you mean {name} for {text!r}?" for text, name in near.items() if name and name not in table.numbers]
     such = [f"name foreign ones in [columns], such as {'; '.join(lines)}"] if lines else []
-    return "; ".join([has, *meant, *such, *guessed(table.notes)])
+    angles = [
+        text for text in table.header if recognised(cells.name_and_unit(text)[1] or "?", [*UNITS["angle"], "count"])
+    ]
+    both = (
+        "of two encoders, the error is the angle of the output less that of the input over the ratio, in a new column"
+    )
+    formed = [both] if "error" in needs and "error" not in table.numbers and len(angles) > 1 else []
+    return "; ".join([has, *meant, *such, *formed, *guessed(table.notes)])
 
 
 def _groups(table: Table) -> list[tuple[Conditions, np.ndarray]]:

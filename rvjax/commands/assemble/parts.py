@@ -219,7 +219,8 @@ def _rows(path: Path, encoding: str | None) -> tuple[list[Row], list[str]]:
             raise StudyError(f"{path}: has no column {needed!r}; it has {', '.join(header)}")
     names = [name for name in header if name]  # a delimiter at the end of each line makes a column without a name
     if len(set(names)) < len(names):
-        raise StudyError(f"{path}: two columns have the same name")
+        twice = next(name for name in names if names.count(name) > 1)
+        raise StudyError(f"{path}: two columns have the same name, {twice!r}")
     rows = [Row(number, dict(zip(header, map(str.strip, row))), cells.comma) for number, row in cells.body]
     rows = [row for row in rows if not row.cells["kind"].startswith(MARKS)]  # a comment that has commas
     return rows, guessed(cells.notes)
@@ -316,9 +317,8 @@ def _column(
     except ValueError:
         unit = None
     if unit is None:
-        hint = "; put a name with a comma in quotes" if column.count("[") > column.count("]") else ""
         example = "must be like 'bearing_clearance [um]' or 'disc_bore[0,1] [um]'"
-        raise StudyError(f"{path}: column {column!r}: {example}{hint}")
+        raise StudyError(f"{path}: column {column!r}: {example}")
     if field not in shapes:
         raise StudyError(f"{path}: column {column!r}: parts of kind {kind!r} have {', '.join(shapes)}")
     units, known = KNOWN[study.unit(field)], recognised(unit, KNOWN[study.unit(field)])
