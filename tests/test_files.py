@@ -393,9 +393,9 @@ def test_the_unit_of_a_header_and_another_one_in_columns_are_refused(write, said
 
 
 def test_a_comma_in_the_brackets_of_a_header_needs_no_quotes(write):
-    text = "kind,id,disc_bore[0,1] [um],disc_bore[1,0] [um],note (a, b),x)\ndisc,a,1,2,n,y\n"
+    text = "kind,id,disc_bore[0,1] [um],disc_bore[1,0] [um],note (a, (b, c)),x)\ndisc,a,1,2,n,y\n"
     plain = read_cells(write(text))
-    quoted = 'kind,id,"disc_bore[0,1] [um]","disc_bore[1,0] [um]","note (a, b)",x)\ndisc,a,1,2,n,y\n'
+    quoted = 'kind,id,"disc_bore[0,1] [um]","disc_bore[1,0] [um]","note (a, (b, c))",x)\ndisc,a,1,2,n,y\n'
     assert (plain.header, plain.body) == (read_cells(write(quoted)).header, [(2, ["disc", "a", "1", "2", "n", "y"])])
     lot = measured_parts(write("disc_bore[0,0] [um];disc_bore[0,1] [um]\n1;2\n3;4\n".replace(";", ",")))
     assert list(lot.columns) == ["disc_bore[0,0]", "disc_bore[0,1]"]
@@ -411,11 +411,9 @@ def test_a_row_of_very_many_columns_is_one_message(write):
     for text in (
         ",".join(["1"] * 200_000),
         ",".join(f"c{k} [deg]" for k in range(200_000)),
-        PLAIN + "\n" + "1;" * 200_000,
+        " ".join(["x"] * 200_000),
     ):
-        assert "200000 columns, at most 10000" in message(write(text)) or "200001 columns, at most" in message(
-            write(text)
-        )
+        assert message(write(text)) == "200000 columns, at most 10000; a table has a row for each reading"
 
 
 def test_measured_parts_have_units_in_any_brackets(write):

@@ -65,11 +65,15 @@ class _Mode:
 
     def names(self, cells: Sequence[str]) -> list[str]:
         """Cells of a header: one such as "disc_bore[0,1] [um]" without quotes is a single one."""
-        found = list(cells)
-        for k in [k for k, cell in enumerate(cells) if _open(cell) > 0][::-1]:
-            end = next((j for j in range(k + 1, len(found)) if _open(found[j])), len(found))
-            if end < len(found) and _open(found[k]) + _open(found[end]) == 0:
-                found[k : end + 1] = [self.delimiter.join(found[k : end + 1])]
+        found, k = list[str](), 0
+        while k < len(cells):
+            end, opened = k, _open(cells[k])
+            while opened > 0 and end + 1 < len(cells):
+                end += 1
+                opened += _open(cells[end])
+            end = end if opened == 0 and end - k + 1 < len(cells) else k
+            found.append(self.delimiter.join(cells[k : end + 1]))
+            k = end + 1
         return found
 
     def fits(self, cells: Sequence[str], below: Sequence[str]) -> bool:
@@ -140,7 +144,8 @@ def read_cells(
     text, notes = text_of(Path(path), encoding)
     lines = text.rstrip("\x1a").replace("\r\n", "\n").replace("\r", "\n").removesuffix("\n").split("\n")
     filled = [k for k, line in enumerate(lines) if line.strip()]
-    widest = max((line.count(mark) for k in filled[:SEARCHED] for line in [lines[k]] for mark in DELIMITERS), default=0)
+    first = [lines[k] for k in filled[:SEARCHED]]
+    widest = max((max(map(line.count, DELIMITERS)) or len(line.split()) - 1 for line in first), default=0)
     if widest >= COLUMNS:
         raise ValueError(f"{path}: {widest + 1} columns, at most {COLUMNS}; a table has a row for each reading")
     if not filled or "\0" in text:
