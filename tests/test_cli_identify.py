@@ -250,7 +250,7 @@ def test_several_units_share_a_question(here, capsys):
         (("nuisance =", "unknown.speed = {}\nnuisance ="), "identify.unknown.speed: no number of this design"),
         (
             ("nuisance =", 'unknown.bearing_stiffness = {lower = "1 um", upper = "2 um"}\nnuisance ='),
-            "identify.unknown.bearing_stiffness.lower = '1 um': unit 'um' (did you mean N/um?) is not one of N/m, N/mm",
+            "identify.unknown.bearing_stiffness.lower = '1 um': unit 'um' is not one of N/m, N/mm",
         ),
         (("nuisance =", "turns = 3\nnuisance ="), "unknown key identify.turns; known here: directions, model"),
         (("[identify]", "[columns]\nerror = \"TE\"\n[identify]"), "columns.error = 'TE': no column of the file"),

@@ -218,7 +218,7 @@ def test_a_study_takes_equal_readings_of_a_file_as_steps(write):
     [
         (LOT, {"pin_radius": "pins"}, "columns.pin_radius = 'pins': no column of the file; it has Teil, pin_radius"),
         (LOT, {"pin_radius": "Bohrung"}, "column 'Bohrung': has no unit; write \"pin_radius [m]\""),
-        (LOT, {"pin_radius": "crank_phase"}, "unit 'arcmin' is not known; write \"pin_radius [m]\" (m, mm, um)"),
+        (LOT, {"pin_radius": "crank_phase"}, 'in another one, under "pin_radius [m]" (m, mm, um, cm)'),
         (LOT, {"pin": "pin_radius"}, "columns: 'pin' is no error of this design; it has"),
         (LOT, {"disc_bore[0,1]": COLUMNS["disc_bore[0,1,0]"]}, "'disc_bore[0,1]' is no element of shape (2, 2, 2)"),
         (LOT, {"pin_radius": "Teil [um]"}, "no column of the file"),

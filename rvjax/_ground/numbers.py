@@ -71,6 +71,7 @@ def number_of(
             value = float(text := _usual(cell, comma, grouping))
         except ValueError:
             hint = "; is its comma decimal? write a point, or no separator" if re.fullmatch(_GROUPS[","], text) else ""
+            hint = "; save the values, not the formulas" if text.startswith("=") else hint
             raise ValueError(f"{where}: must be a number in {unit}{hint}") from None
     digits = re.search("[1-9]", text.partition("e")[0])
     if math.isnan(value) or (math.isinf(value) and not digits):

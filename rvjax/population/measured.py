@@ -136,6 +136,7 @@ def measured(
     design: Design | None = None,
     limits: PyTree = None,
     confidence: float = 0.95,
+    encoding: str | None = None,
 ) -> MeasuredParts:
     """Tolerances that follow measured parts, from a CSV file with a row for each part.
 
@@ -151,6 +152,7 @@ def measured(
         design: whose error record declares names, units and shapes; without it every known unit is used as given.
         limits: record or dict with a `Tolerance`, (lower, upper) or None by field, for Cpk and the tolerances.
         confidence: of every interval.
+        encoding: of the file, such as "cp932"; None: UTF-8, UTF-16 or a guess.
 
     Returns:
         `MeasuredParts`.
@@ -161,9 +163,9 @@ def measured(
     """
     deviate_of(confidence)
     about = None if design is None else {f.name: f.metadata for f in dataclasses.fields(design.error_record)}
-    wanted = _found(path, about) if columns is None else dict(columns)
+    wanted = _found(path, about, encoding) if columns is None else dict(columns)
     units = {name: _family(name, about) for name in wanted}
-    read = read_table(path, wanted, units=units)
+    read = read_table(path, wanted, units=units, encoding=encoding)
     shown = {name: "turn" if unit == "count" else unit for name, unit in read.shown.items()}
     si = {name: next(si for si, own in KNOWN.items() if unit in own) for name, unit in shown.items()}
     given = _limits(limits)
@@ -199,14 +201,14 @@ def measured(
     return MeasuredParts(made, figures, whole.shape[1], _pairs(list(wanted), whole, confidence), still, str(path))
 
 
-def _found(path: str | Path, about: Mapping[str, Metadata] | None) -> dict[str, str]:
+def _found(path: str | Path, about: Mapping[str, Metadata] | None, encoding: str | None) -> dict[str, str]:
     """Columns by name, of those with a known unit in the header."""
     everything = {unit: size for family in KNOWN.values() for unit, size in family.items()}
 
     def has_unit(header: str) -> bool:
         return recognised(name_and_unit(header)[1] or "?", everything) is not None
 
-    header = read_cells(path, named=has_unit).header
+    header = read_cells(path, named=has_unit, encoding=encoding).header
     plain = {split(text)[0]: text for text in header if spelling(split(text)[1] or "?") in everything}
     found = plain or {name_and_unit(text)[0]: text for text in header if has_unit(text)}
     if about is not None:

@@ -113,7 +113,7 @@ def _mirrored(plan: Plan, objective: str) -> Plan:
 def compute(inputs: Inputs) -> Assembled:
     """Compute the plan, and prices if required."""
     study, how = inputs.study, table_of(inputs.study)
-    parts = bench(study, inputs.source)
+    parts = bench(study, inputs.source, encoding=inputs.encoding)
     progress.begin(MATCHING)
     response, requirement = parts.small
     with warnings.catch_warnings():

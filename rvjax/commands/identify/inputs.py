@@ -40,7 +40,7 @@ def inputs(options: argparse.Namespace) -> Inputs:
     """
     loaded = study.load(options.study, solve=False)
     columns = identification_of(loaded).columns
-    data = read_measured(options.data, columns) if options.data else None
+    data = read_measured(options.data, columns, encoding=options.encoding) if options.data else None
     if data is None and not options.check:
         raise ValueError("no data: name at least one CSV file, or use --check for the identifiability")
     folder = None if options.check else results_folder(options.results, loaded.name)
