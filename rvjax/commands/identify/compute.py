@@ -81,6 +81,13 @@ class Identified:
         return None if self.batch is None else not any(status in REJECTED for status in self.batch.status)
 
     @property
+    def converged(self) -> bool:
+        """True if every unit has the status CONVERGED: one solution, whose intervals hold."""
+        found = [] if self.posterior is None else [self.posterior.status]
+        found += [] if self.batch is None else self.batch.status
+        return all(status == "CONVERGED" for status in found)
+
+    @property
     def findings(self) -> dict[str, tuple[Finding, ...]]:
         """Findings of every measurement, by unit and conditions."""
         kind, found = KINDS[self.problem.kind], {}
