@@ -288,7 +288,9 @@ def test_refusals_of_the_command(here, capsys):
     assert "no data: name at least one CSV file" in run(capsys, "unit.toml")[2]
     assert "--results unit.csv: exists already" in run(capsys, "unit.toml", "unit.csv", "--results", "unit.csv")[2]
     assert "none.csv: no such data file" in run(capsys, "unit.toml", "none.csv")[2]
-    assert "[identify] is missing" in run(capsys, "rv-40e", "unit.csv")[2]
+    assert 'at least model = "four_bar" or "dynamics" or "loaded", orders' in run(capsys, "rv-40e", "unit.csv")[2]
+    assert 'at least model = "loaded", orders' in run(capsys, "cycloidal-17", "unit.csv")[2]
+    assert "no model of an oscillatory roller reducer can be measured" in run(capsys, "corr", "unit.csv")[2]
     assert cli.main(["allocate", "unit.toml"]) == 2
     assert "unit: [requirement] is missing or empty" in capsys.readouterr().err
 

@@ -52,7 +52,7 @@ from rvjax.render import (
     number,
 )
 from rvjax.tolerances import Allocation, expected_losses
-from rvjax.units import readable
+from rvjax.units import readable, with_unit
 
 MOVED = "middles moved"
 """Row with the cost of moved mid-points: with it, the column of costs adds up to the total."""
@@ -139,7 +139,7 @@ def losses_of(answer: Answer) -> list[str]:
         before, after = given[name], allocation.losses[name]
         unit, size = study.output(name).shown
         sums[0] += before.value
-        at, target = (f"{float(value) / size:g} {unit}" for value in (loss.at, loss.target))
+        at, target = (with_unit(float(value) / size, unit, "g") for value in (loss.at, loss.target))
         priced = f"{float(loss.price):g} for {at} off {target}"
         lines.append(f"mean loss of {name} ({priced}): {before.value:.3f} -> {after.value:.3f}, {_ends(after)}")
     whole = allocation.objective

@@ -37,7 +37,7 @@ from rvjax.render import (
     leading_comment,
 )
 from rvjax.study import Study, fields_of, number_at, outside, shown, stated_by
-from rvjax.units import readable
+from rvjax.units import readable, with_unit
 
 
 def report(inputs: Inputs, found: Designed) -> Report:
@@ -216,9 +216,7 @@ def _requirements(study: Study, found: Designed) -> Iterator[Table]:
             unit, size = output.shown
             limit = nominal_limit(study, name)
             price = limit_price(study, found.joint, name)
-            values = [
-                f"{side[name] / size:.5g} {unit}".removesuffix(" -") for side in (found.start, found.joint.outputs)
-            ]
+            values = [with_unit(side[name] / size, unit, ".5g") for side in (found.start, found.joint.outputs)]
             if name in study.objective:
                 named, size = priced_per(output.unit, output.read_in)
                 price = f"{study.objective[name](size):.3g} /{named}"
@@ -230,9 +228,8 @@ def _helping(study: Study, path: str, side: str) -> str:
     """Bound of a number that an infeasible study should move outwards, in the unit of the number."""
     unit, size = readable(unit_of_number(study, path))
     bound = getattr(study.variables[path], side) / size
-    return f"a {'lower' if side == 'lower' else 'higher'} {side} bound of {path} than {bound:.6g} {unit}".removesuffix(
-        " -"
-    )
+    sense = "lower" if side == "lower" else "higher"
+    return f"a {sense} {side} bound of {path} than {with_unit(bound, unit, '.6g')}"
 
 
 def others(study: Study, found: Designed) -> Iterator[Table | Note]:

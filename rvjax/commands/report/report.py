@@ -46,6 +46,7 @@ from rvjax.render import (
 )
 from rvjax.status import MEANING, Status
 from rvjax.tolerances import Estimate
+from rvjax.units import with_unit
 
 
 def report(inputs: Inputs, found: Shown | None) -> Report:
@@ -222,8 +223,8 @@ def _levels(answer: Answer) -> Section:
     rows = []
     for name, choice in (given | study.choices()).items():
         unit, size = study.output(name).shown
-        wanted = f"{study.accuracy[name] / size:.3g} {unit}" if name in study.accuracy else None
-        bound = None if choice.bound is None else f"< {float(f'{choice.bound / size:.2g}'):g} {unit}"
+        wanted = with_unit(study.accuracy[name] / size, unit, ".3g") if name in study.accuracy else None
+        bound = None if choice.bound is None else f"< {with_unit(float(f'{choice.bound / size:.2g}'), unit, 'g')}"
         spent = None if choice.ns is None else f"{choice.ns / 1e3:.3g} us"
         rows.append([Titled(name, study.output(name).meaning), choice.level, wanted, bound, spent, choice.why])
     short = [Text(title) for title in ("required accuracy", "its error", "time of a unit")]
