@@ -8,8 +8,10 @@ import pytest
 
 from rvjax import catalogue
 from rvjax.commands.identify.compute import Identified
+from rvjax.commands.identify.figures import _elements
 from rvjax.commands.identify.words import combinations, doubts
 from rvjax.identify import Direction
+from rvjax.identify.elements import Elements
 from rvjax.tolerances import Tolerance
 from rvjax.units import um
 
@@ -84,3 +86,20 @@ def test_several_solutions_and_intervals_that_do_not_hold_stand_beside_the_resul
     assert doubts(SimpleNamespace(posterior=good, draws=None)) == []
     for status, fine in (("MULTIMODAL", False), ("CONVERGED", True)):
         assert Identified(None, None, posterior=SimpleNamespace(status=status)).converged is fine
+
+
+def test_components_of_a_vector_are_plotted_between_both_signs_of_its_length():
+    """Normal components, sd a third of the limit: 95 % of the drawing reach 0.653 of it to both sides."""
+    held = Elements.of(PRIOR)
+    zero, some = ({name: np.full(t.shape, size) for name, t in PRIOR.items()} for size in (0.0, 3 * um))
+    found = SimpleNamespace(
+        posterior=SimpleNamespace(
+            problem=SimpleNamespace(elements=held), value=zero, lower={n: -x for n, x in some.items()}, upper=some
+        ),
+        problem=SimpleNamespace(prior=PRIOR, nuisance=()),
+        check=SimpleNamespace(resolution=dict.fromkeys(held.names, 0.0), verdict=dict.fromkeys(held.names, "unseen")),
+    )
+    bars = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in _elements(found).patches if bar.get_width()]
+    reach = 1.959964 / 3
+    assert bars[0] == pytest.approx((-reach, reach), rel=1e-6)
+    assert {round(high, 6) for _, high in bars} == {round(reach, 6), 0.1, 0.2}  # 3 um of 30 and of 15
