@@ -8,7 +8,7 @@ from rvjax.outputs import Output
 from rvjax.records import PyTree
 from rvjax.render import Quantity, Zone
 from rvjax.study import Study
-from rvjax.tolerances import Estimate, Influence, Limits, Statistics, Tolerance, Verdict, slopes_change_sign
+from rvjax.tolerances import Allocation, Estimate, Influence, Limits, Statistics, Tolerance, Verdict, slopes_change_sign
 from rvjax.units import readable, rpm, suited, with_unit
 
 
@@ -128,6 +128,17 @@ def together_text(influence: Mapping[str, Influence]) -> str:
     sums = {name: found.total for name, found in influence.items() if found.total.lower > 1 + KNOWN}
     said = ", ".join(f"{name} {100 * total.value:.0f} %" for name, total in sums.items())
     return f"errors act together; before scaling the shares sum to: {said}." if said else ""
+
+
+def binding(found: Allocation, name: str) -> float:
+    """d cost / d limit of a response; 0 where its interval contains zero: the limit is not shown to bind.
+
+    Args:
+        found: the optimum.
+        name: of the response.
+    """
+    lower, upper = found.multiplier_intervals.get(name, (-math.inf, -math.inf))
+    return 0.0 if lower <= 0 <= upper else found.multipliers.get(name, 0.0)
 
 
 def price_text(study: Study, prices: Mapping[str, float]) -> str:

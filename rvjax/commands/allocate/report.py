@@ -18,6 +18,7 @@ from rvjax.commands.allocate.shortfall import shortfalls
 from rvjax.commands.allocate.whole import unlimited_tables, unlimited_texts, whole_text
 from rvjax.commands.cells import (
     assumed_text,
+    binding,
     evaluated,
     failures_text,
     limit_text,
@@ -282,10 +283,11 @@ def requirement_table(answer: Answer) -> Table:
             requirement.text(),
             goal,
         ]
-        row += [requirement.text(), figure_unit, *cells, met, (allocation.multipliers[name], output, ends)]
+        row += [requirement.text(), figure_unit, *cells, met, (binding(allocation, name), output, ends)]
         row += [evaluated(graded.certificate.verdicts[name], output)] if graded else []
         rows.append([*row, met])
-    return Table("requirements", columns, rows, note=price_text(study, allocation.multipliers))
+    prices = {name: binding(allocation, name) for name in study.requirements}
+    return Table("requirements", columns, rows, note=price_text(study, prices))
 
 
 def _data(answer: Answer) -> dict[str, object]:
