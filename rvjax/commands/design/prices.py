@@ -13,7 +13,7 @@ from rvjax.study import Study, fields_of, stated_by
 from rvjax.units import readable, suited, with_unit
 
 BINDING = 1e-6  # least change of the cost, per doubled limit (from 0: per unit it is read in), of a binding limit
-HOURS = "1000 h", 3.6e6  # one hour of life has hardly a price
+HOURS = "1000 h", 3.6e6  # the price of one hour of life is small
 
 
 def unit_of_number(study: Study, path: str) -> str:
