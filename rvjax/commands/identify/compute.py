@@ -108,14 +108,14 @@ class Identified:
         return [name for name in self.check.names if self.check.resolution[name] < WITHOUT]
 
 
-def phases(inputs: Inputs) -> dict[str, float]:
-    """Phases of the command; their times are not known before.
+def phases(inputs: Inputs) -> tuple[str, ...]:
+    """Phases of the command.
 
     Args:
         inputs: what is computed.
     """
     coming = (SEEING, RANKING) if inputs.check else (SEEING, FITTING, RANKING, WRITING)
-    return dict.fromkeys((READING, *coming), 0.0)
+    return (READING, *coming)
 
 
 def compute(inputs: Inputs) -> "Identified":

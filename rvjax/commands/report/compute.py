@@ -46,17 +46,15 @@ class Shown:
     drawn: tuple[Figure, ...] = ()
 
 
-def phases(inputs: Inputs) -> dict[str, float]:
-    """Phases of the command with their seconds.
+def phases(inputs: Inputs) -> tuple[str, ...]:
+    """Phases of the command.
 
     Args:
         inputs: what is computed.
     """
     if inputs.shown:
-        return {}
-    if inputs.answer is None:
-        return phases_of(inputs.study, READING, SLIDERS, WRITING)
-    return {READING: 1.0, SLIDERS: 10.0, WRITING: 1.0}
+        return ()
+    return phases_of(READING, SLIDERS, WRITING) if inputs.answer is None else (READING, SLIDERS, WRITING)
 
 
 def compute(inputs: Inputs) -> Shown | None:
