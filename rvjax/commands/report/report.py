@@ -66,7 +66,7 @@ def report(inputs: Inputs, found: Shown | None) -> Report:
     made = report_on(found.answer)
     content = page_of(found, inputs.source, date=time.strftime("%Y-%m-%d")).encode("utf-8")
     stored = made.files[FILE] if inputs.kept is None else (inputs.kept / FILE).read_bytes()
-    content += mark(stored, inputs.source)
+    content += mark(stored, inputs.source, inputs.sliders)
     brief = headline(found.answer)
     if inputs.output is not None:
         path = inputs.output
@@ -90,6 +90,7 @@ def page_of(found: Shown, source: str, *, date: str = "") -> str:
     result = Section("Result", (requirement_table(answer), *unlimited, *tolerance_tables(answer)))
     sections: list[Content] = [result, _requirements(answer, drawn), _tolerances(drawn)]
     sections += [live.block(found.surrogate, answer)] if found.surrogate else []
+    sections += [live.without(source)] if study.costly and not found.surrogate else []
     sections += [found.design or design_section(study), _influence(answer, drawn)]
     sections += [section for section in (found.budget, found.bearings, found.friction) if section]
     sections += [_worst(answer, drawn), _levels(answer)]
