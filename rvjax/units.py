@@ -218,6 +218,17 @@ def suited(value: float, unit: str) -> tuple[str, float]:
     return next((item for item in sizes if abs(value) >= item[1]), sizes[-1])
 
 
+def with_unit(number: float, unit: str, form: str = ".4g") -> str:
+    """A number and its unit as text; a plain number has none.
+
+    Args:
+        number: in the unit.
+        unit: its name, "-" for a plain number.
+        form: format of the number.
+    """
+    return f"{number:{form}}" if unit in ("-", "") else f"{number:{form}} {unit}"
+
+
 def readable(unit: str, read_in: str | None = None) -> tuple[str, float]:
     """Name and SI size of the unit in which a person reads errors and responses given in `unit`.
 

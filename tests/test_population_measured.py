@@ -234,6 +234,17 @@ def test_bad_tables_are_one_line(write, text, columns, words):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize("upper", [5 * um, -3 * um])
+def test_a_limit_on_one_side_has_its_capability(write, upper):
+    """Mean 2, sd sqrt(3.125); the other end of the tolerance is that of an error without limits, or the limit."""
+    found = measured(write(LOT), COLUMNS, design=catalogue.RV_40E, limits={"pin_radius": (-math.inf, upper)})
+    sd, law = math.sqrt(3.125) * um, found.tolerances["pin_radius"]
+    assert found.columns["pin_radius"].cpk.value == pytest.approx((upper - 2 * um) / (3 * sd))
+    assert law.upper == upper and law.lower == pytest.approx(min(2 * um - 3 * sd, upper))
+    open_ = measured(write(LOT), COLUMNS, design=catalogue.RV_40E, limits={"pin_radius": (-math.inf, math.inf)})
+    assert open_.columns["pin_radius"].cpk is None
+
+
 def test_limits_that_are_none_are_refused(write):
     with pytest.raises(ValueError, match=r"limits: pin_radius = 3: must be a Tolerance, or \(lower, upper\) in SI"):
         measured(write(LOT), COLUMNS, limits={"pin_radius": 3})

@@ -1,6 +1,8 @@
 """Units as multipliers and as text."""
 
 import math
+import re
+from pathlib import Path
 
 import pytest
 
@@ -144,3 +146,11 @@ def test_a_header_may_spell_a_unit_as_people_do(unit, quantity, spellings):
 def test_reports_choose_usual_units_only():
     assert units.suited(2e-3, "rad")[0] == "arcmin" and units.suited(7.0, "rad")[0] == "rad"
     assert units.suited(0.5, "N m") == ("N m", 1.0) and units.suited(2.0, "N m") == ("N m", 1.0)
+
+
+def test_a_plain_number_is_written_without_a_unit():
+    """And no other place writes a number with its unit, where "-" would follow one that has none."""
+    assert [units.with_unit(0.76, unit) for unit in ("-", "mm")] == ["0.76", "0.76 mm"]
+    package = Path(units.__file__).parent
+    for path in {*package.rglob("*.py")} - {package / "units.py", *package.glob("published/*.py")}:
+        assert not re.search(r":[^{}]*[efg]\} \{(unit|shown)\}", path.read_text()), path

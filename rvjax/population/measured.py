@@ -150,7 +150,8 @@ def measured(
         columns: {field or element, such as "disc_bore[0,1,0]": header of its column, or {"column", "unit"} where that
             has no unit}; None: every column whose header is a name and a known unit.
         design: whose error record declares names, units and shapes; without it every known unit is used as given.
-        limits: record or dict with a `Tolerance`, (lower, upper) or None by field, for Cpk and the tolerances.
+        limits: record or dict with a `Tolerance`, (lower, upper) or None by field, for Cpk and the tolerances; one of
+            the two may be infinite, and is mean - 3 sd or mean + 3 sd in the tolerance.
         confidence: of every interval.
         encoding: of the file, such as "cp932"; None: UTF-8, UTF-16 or a guess.
 
@@ -241,9 +242,10 @@ def _limits(limits: PyTree) -> dict[str, Limit]:
         given = {f.name: getattr(given, f.name) for f in dataclasses.fields(given)}
     found = {}
     for name, item in given.items():
-        if item is None:
+        if item is None or item == (-math.inf, math.inf):
             continue
-        if not isinstance(item, Tolerance) and not (isinstance(item, tuple) and len(item) == 2 and item[0] <= item[1]):
+        pair = isinstance(item, tuple) and len(item) == 2 and item[0] <= item[1]
+        if not isinstance(item, Tolerance) and not (pair and item[0] < math.inf and item[1] > -math.inf):
             raise ValueError(f"limits: {name} = {item!r}: must be a Tolerance, or (lower, upper) in SI")
         found[name] = item
     return found
@@ -297,7 +299,11 @@ def _tolerance(
         own = given.batch if names == [field] else 0.0  # measured elements determine their correlation
         return given.replace(**law, shape=shape, cp=1.0, shift=0.0, batch=own)
     mean, sd = float(values.mean()), float(values.std(ddof=1))
-    low, high = given or (mean - NATURAL * sd, mean + NATURAL * sd)
+    low, high = given or (-math.inf, math.inf)
+    low, high = (
+        low if math.isfinite(low) else min(mean - NATURAL * sd, high),
+        high if math.isfinite(high) else max(mean + NATURAL * sd, low),
+    )
     return Tolerance(low, high, shape=shape, **law)
 
 

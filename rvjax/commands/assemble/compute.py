@@ -93,13 +93,13 @@ class Assembled:
     prices: tuple[Price, ...] = ()
 
 
-def phases(inputs: Inputs) -> dict[str, float]:
-    """Phases of the command; their times are not known before.
+def phases(inputs: Inputs) -> tuple[str, ...]:
+    """Phases of the command.
 
     Args:
         inputs: what is computed.
     """
-    return dict.fromkeys((READING, MATCHING, *([PRICING] if inputs.prices else []), WRITING), 0.0)
+    return (READING, MATCHING, *([PRICING] if inputs.prices else []), WRITING)
 
 
 def _mirrored(plan: Plan, objective: str) -> Plan:

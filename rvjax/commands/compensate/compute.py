@@ -83,13 +83,13 @@ class Corrections:
     notes: tuple[str, ...] = ()
 
 
-def phases(inputs: Inputs) -> dict[str, float]:
-    """Phases of the command; their times are not known before.
+def phases(inputs: Inputs) -> tuple[str, ...]:
+    """Phases of the command.
 
     Args:
         inputs: what is computed.
     """
-    return dict.fromkeys((READING, CORRECTING, WRITING), 0.0)
+    return (READING, CORRECTING, WRITING)
 
 
 def compute(inputs: Inputs) -> Corrections:
