@@ -19,56 +19,45 @@ from benchmarks.timing import arguments, publish, settings
 
 settings()
 
-from rvjax.population.population import Population  # noqa: E402
 from rvjax.response.response import PLAIN  # noqa: E402
 from rvjax.study import load  # noqa: E402  (after the flags)
 from rvjax.tolerances import ReciprocalPower, Requirement, Tolerance, allocate  # noqa: E402
-from rvjax.tolerances.optimum.sample_average import Training  # noqa: E402
-from rvjax.tolerances.optimum.search import Search  # noqa: E402
+from rvjax.tolerances.allocation.constraints import Constraints  # noqa: E402
+from rvjax.tolerances.allocation.problem import problem_of  # noqa: E402
+from rvjax.tolerances.allocation.programme import Programme  # noqa: E402
 from rvjax.units import um  # noqa: E402
 
 GRADIENT, VIOLATION, NEAR = 3, 2e-3, 1.01
 CLOSED_FORM = {"two fields": (1.0, 2.0), "eight fields": (1.0, 2.0, 0.5, 3.0, 1.5, 0.7, 1.0, 2.5)}
 
 
-class Counted(Training):
-    """The learning sample; counts the units it evaluates."""
-
-    units = 0
-
-    def _values(self, half_widths):
-        self.units += self.samples
-        return super()._values(half_widths)
-
-    def _slope(self, half_widths, pull, of):
-        self.units += GRADIENT * len(pull.units)
-        return super()._slope(half_widths, pull, of)
-
-
 class Race:
     """The common problem, with a record of (units, cost, violation) of everything an optimiser looked at."""
 
     def __init__(self, response, tolerances, requirements, costs, samples=16384):
-        self.population = Population.of(tolerances)
-        self.priced = {name: costs[name] for name in self.population.active if name in costs}
-        self.start = np.array([float(self.population.active[name].half_width) for name in self.priced])
-        self.sample = lambda: Counted(response, self.population, tuple(self.priced), requirements, None, samples, 0)
+        self.problem = problem_of(
+            response, tolerances, requirements, costs=costs, correlation=None, confidence=0.95,
+            certificate_samples=1_000_000, middles={}, variables={}, objective={}, losses=None, progress=False,
+            memo=None, samples=samples, seed=0, joint_target=None, max_steps=300,
+        )  # fmt: skip
+        self.start = np.array([float(self.problem.population.active[name].half_width) for name in self.problem.priced])
 
     def begin(self):
         """Forget everything: each optimiser pays for all it sees."""
-        self.training = self.sample()
-        self.search = Search(self.training, self.priced, 300)
-        self.low, self.high = np.log(self.search.low), np.log(self.search.high)
+        self.constraints = Constraints(self.problem, self.problem.decisions)
+        self.constraints.sample(self.problem.samples)
+        self.constraints.begin(np.log(self.start))
+        self.constraints.units.solved = 0
+        self.low, self.high = self.problem.decisions.low, self.problem.decisions.high
         self.looks, self.memory = [], {}
 
     def look(self, x):
         """Cost and margins (relative) at logarithms of half-widths; one evaluation for both."""
         key = tuple(x)
         if key not in self.memory:
-            t = np.exp(np.clip(x, self.low, self.high))
-            margins = self.training.margins(t) / self.training.distance
-            self.memory[key] = self.search.cost(t), margins
-            self.looks.append((self.training.units, self.memory[key][0], float(margins.max())))
+            seen = self.constraints.look(np.clip(x, self.low, self.high), sloped=False)
+            self.memory[key] = seen.cost, seen.used - 1
+            self.looks.append((self.constraints.units.solved, seen.cost, seen.excess))
         return self.memory[key]
 
     def penalised(self, x):
@@ -78,12 +67,21 @@ class Race:
         return cost + 100 * np.maximum(margins, 0).sum() + 10 * outside
 
     def gradients(self):
-        point, _ = self.search.run(self.search.begin(self.start))
-        each = (self.training.units - 2 * self.training.samples) / len(self.search.history)
-        for k, item in enumerate(self.search.history):
-            margins = np.array(list(item["margins"].values())) / self.training.distance
-            self.looks.append((int(self.training.samples + (k + 1) * each), item["cost"], float(margins.max())))
-        return point
+        """The search of the library; a gradient counts as two more units."""
+        units, extra = self.constraints.units, GRADIENT - 1
+        pulled = units.gradients
+
+        def counted(population, errors, weights):
+            units.solved += extra * errors.shape[1]
+            return pulled(population, errors, weights)
+
+        def look(x):
+            seen = self.constraints.look(x)
+            self.looks.append((units.solved, seen.cost, seen.excess))
+            return seen
+
+        units.gradients = counted
+        return Programme(self.constraints, look).run(np.log(self.start), most=300)
 
     def cobyla(self, first_step):
         constraints = [

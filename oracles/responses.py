@@ -69,3 +69,33 @@ class Lever(Record):
         """Values of a unit."""
         length = self.unit * values["length"]
         return {"y": length * errors["a"] + errors["b"] / length, "size": 10.0 * length}
+
+
+@record
+class Made(Record):
+    """What its coefficients make it: a line of three errors, a square, a number d, a corner, steps, units that fail.
+
+    y = sum s_j d^p_j e_j + bend e_b^2 + base + shift (d - 1) + bow (d - 1)^2, then sqrt(corner^2 + y^2), whole steps.
+    """
+
+    slopes: Any = field("-", "of errors a, b, c", shape=(3,))
+    powers: Any = field("-", "of d in each slope", shape=(3,), default=0.0)
+    base: Any = field("-", "without errors", default=0.0)
+    bend: Any = field("-", "of the square of b", default=0.0)
+    shift: Any = field("-", "of d - 1", default=0.0)
+    bow: Any = field("-", "of its square", default=0.0)
+    corner: Any = field("-", "smallest size of y; 0 for none", default=0.0)
+    step: Any = field("-", "to whole ones of which y is rounded up; 0 for none", default=0.0)
+    edge: Any = field("-", "largest |b| of a unit that can be assembled", default=1e9)
+    costly: bool = text("whether units are few", default=False)
+
+    def __call__(self, errors: PyTree, values: PyTree = None) -> Outcome:
+        """Value of y, b and the number of a unit."""
+        e = jnp.stack([errors[name] for name in "abc"])
+        d = jnp.asarray(values["d"] if values else 1.0, e.dtype)
+        y = jnp.sum(jnp.asarray(self.slopes) * d ** jnp.asarray(self.powers) * e) + self.bend * e[1] ** 2
+        y = y + self.base + self.shift * (d - 1) + self.bow * (d - 1) ** 2
+        y = jnp.where(self.corner > 0, jnp.sqrt(self.corner**2 + y**2 + 1e-300), y)
+        y = jnp.where(self.step > 0, jnp.ceil(y / jnp.where(self.step > 0, self.step, 1.0)) * self.step, y)
+        status = jnp.where(jnp.abs(e[1]) > self.edge, int(Status.NOT_ASSEMBLABLE), int(Status.CONVERGED))
+        return Outcome({"y": y, "b": e[1], "d": d + 0.0 * e[0]}, status)

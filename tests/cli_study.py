@@ -27,10 +27,10 @@ MOVED: dict = {}  # and surrogates
 @contextlib.contextmanager
 def one_start() -> Iterator[None]:
     """Searches begin at the numbers of the study alone; `test_codesign.py` has problems with several valleys."""
-    from rvjax.tolerances.optimum import designer
+    from rvjax.tolerances.allocation import search
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(designer, "starts", lambda decisions, x, low, high: [x])
+        patch.setattr(search, "starts", lambda decisions, x, low, high: [x])
         yield
 
 

@@ -6,14 +6,13 @@ import os
 import sys
 import tomllib
 from importlib import resources
-from types import SimpleNamespace
 
 import pytest
 
 from rvjax import catalogue, cli, designs, study
 from rvjax._reducer import plausible
 from rvjax.commands import module
-from rvjax.commands.allocate import answer, expected
+from rvjax.commands.allocate import expected
 from rvjax.commands.forecast import forewarn
 from rvjax.commands.init.compute import written
 from rvjax.study.plausible import doubts
@@ -243,19 +242,6 @@ def test_the_rv_80e_is_sound():
     assert all(
         getattr(stage, n) == pytest.approx(getattr(due, n), rel=1e-12) for n in ("sun_base_radius", "centre_distance")
     )
-
-
-def test_the_curve_of_costs_pays_for_moved_middles(monkeypatch):
-    """Its searches begin with middles that have moved already, at a cost of 2 here."""
-
-    def found(cost, share):
-        verdict = SimpleNamespace(kind="share", estimate=SimpleNamespace(value=share))
-        certificate = SimpleNamespace(verdicts={"lost_motion": verdict})
-        return SimpleNamespace(feasible=True, cost=cost, costs={"a": 9.0}, tolerances=None, certificate=certificate)
-
-    monkeypatch.setattr(answer, "cost_of_yields", lambda *_, **__: [(0.9, 8.0), (0.999, 10.0)])
-    points = answer._cost_curve(study.load("rv-40e", solve=False), None, found(11.0, 0.99), None)
-    assert points == [(0.9, 10.0), (0.99, 11.0), (0.999, 12.0)]
 
 
 def test_a_reader_that_has_enough_ends_a_command_quietly(tmp_path, monkeypatch, capsys):

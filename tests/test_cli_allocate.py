@@ -103,7 +103,7 @@ def test_allocate_writes_tables_and_pictures(answered):
         "8.00 +-4.00 um",
         "shadow price",
         f"{UNITS:,} independent units, 0 failed",
-        "joint yield: 98.",
+        "joint yield: 97.",
         "no joint_target set",
         "no slope: raising and lowering the error act alike",
         "Negative lost_motion in",

@@ -25,9 +25,9 @@ from rvjax.tolerances import (
     allocate,
     it_width,
 )
-from rvjax.tolerances.optimum.decisions import Decisions
-from rvjax.tolerances.optimum.lists import Lists
-from rvjax.tolerances.optimum.units import Units
+from rvjax.tolerances.allocation.decisions import Decisions
+from rvjax.tolerances.allocation.lists import Lists
+from rvjax.tolerances.allocation.sample import Units
 from rvjax.units import mm, um
 
 TARGET, UNITS = 0.999, 50_000
@@ -48,7 +48,7 @@ class Rare(Record):
 
 @pytest.fixture(scope="module")
 def few_units():
-    """Allocations that learn from 128 units, by the slope to a in rare units; none of the 128 is one of these."""
+    """Allocations with another slope to a in rare units, of which a sample has a dozen."""
 
     @one_start()
     def found(slope):
@@ -62,8 +62,9 @@ def few_units():
 
 
 def test_a_certified_cost_far_above_the_learned_one_is_not_optimal(few_units):
-    assert few_units[10.0].cost > 1.2 * few_units[10.0].learned
-    assert {slope: found.status for slope, found in few_units.items()} == {1.0: "OPTIMAL", 10.0: "SUBOPTIMAL"}
+    for found in few_units.values():
+        assert (found.status == "SUBOPTIMAL") == (found.cost > 1.2 * found.learned)
+    assert few_units[1.0].status == "OPTIMAL"
 
 
 def beyond(a, b, slope, lever=1.0):
@@ -134,7 +135,7 @@ def test_lists_too_long_for_all_combinations_end_where_no_exchange_is_cheaper(se
     variables = {n: Variable(0.0, 1.0, among=(0.0, 0.2, 0.5, 0.7, 1.0)) for n in "xyz"}
     lists = Lists(Decisions(Population.of({"a": Tolerance.symmetric(1.0)}), {}, {}, variables))
     end, table = rng.uniform(size=3), rng.uniform(1, 2, (5, 5, 5))
-    best = lists.cheapest(end, lambda places: places, lambda places: (False, table[places]))[0]
+    best = lists.cheapest(end, lambda places: places, lambda places: (False, table[places]))
     above = np.searchsorted(variables["x"].among, end)
     rounded = list(itertools.product(*((k - 1, k) for k in above)))
     near = [best, *rounded]
@@ -230,5 +231,5 @@ def test_a_unit_whose_equations_were_not_solved_has_no_value():
 
     decisions = Decisions(Population.of({"a": Tolerance.symmetric(3.0)}), {}, {}, {})
     z = np.linspace(-2.0, 2.0, 16)[None]
-    found = Units(response, decisions, {"y"}, None).values(np.zeros(0), z, "tails")["y"]
+    found = Units(response, decisions, {"y"}, None).values(decisions.population(np.zeros(0)), z)["y"]
     np.testing.assert_allclose(found, np.where(z[0] > 0, np.nan, z[0]), rtol=1e-12)

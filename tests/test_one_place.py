@@ -26,7 +26,7 @@ from rvjax.records import IN_ERROR_UNIT, Scalar, field, record
 from rvjax.study.kinds.following import Following
 from rvjax.study.variables import refuse_variable
 from rvjax.tolerances import sample
-from rvjax.tolerances.optimum import cost
+from rvjax.tolerances.allocation import cost
 from rvjax.units import arcsec, um
 
 JOINT = """

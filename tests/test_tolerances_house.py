@@ -59,11 +59,11 @@ class SdBelow(Limits):
     sd: float = 1.0
 
     def learned(self, values, distance):
-        return 0.5 * distance * (np.nanstd(values, ddof=1) / self.sd - 1)
+        return np.nanstd(values, ddof=1) - self.sd
 
     def pull(self, values, margin, distance, lanes):
         spread = values - np.nanmean(values)
-        slope = 0.5 * distance * spread / (np.nanstd(values, ddof=1) * self.sd)
+        slope = spread / np.nanstd(values, ddof=1)
         return Pull(np.arange(len(values)), slope, np.ones(len(values)))
 
     def figure(self, sampled):
@@ -72,8 +72,8 @@ class SdBelow(Limits):
     def holds(self, estimate):
         return estimate.upper <= self.sd
 
-    def factor(self, estimate, samples, deviate, distance):
-        return self.sd / (estimate.value + 3 * estimate.error)
+    def shown(self, estimate, sd, deviate):
+        return estimate.value + deviate * estimate.error - self.sd
 
     def text(self):
         return f"sd <= {self.sd:g}"
@@ -119,7 +119,7 @@ def test_a_law_has_one_place(tmp_path):
 
 def test_a_kind_of_requirement_has_one_place():
     normal = {"a": Tolerance(-1.0, 1.0), "b": Tolerance(-1.0, 1.0)}
-    asked = SdBelow(upper=10.0, sd=0.5)
+    asked = SdBelow(upper=1.0, sd=0.5)
     found = monte_carlo(summed, normal, samples=20_000, seed=0, requirements=asked)
     assert not found.verdicts.met and found.verdicts.wanted == "sd <= 0.5" and found.yield_ is None
     assert abs(found.verdicts.estimate.value - math.sqrt(5) / 3) < 4 * found.verdicts.estimate.error

@@ -6,8 +6,8 @@ import pytest
 from oracles.linear_pair import COSTS, LIMIT, PAIR, linear
 from rvjax.response import devices
 from rvjax.tolerances import Requirement, allocate
+from rvjax.tolerances.allocation import sample
 from rvjax.tolerances.batch.memo import Memo
-from rvjax.tolerances.optimum import sample_average
 
 NEED = Requirement(lower=-LIMIT, upper=LIMIT, target=0.99)
 
@@ -30,7 +30,7 @@ def counted(monkeypatch):
 
         return counting
 
-    for module in (sample_average, devices):
+    for module in (sample, devices):
         monkeypatch.setattr(module, "respond", count(module.respond))
     return counted
 

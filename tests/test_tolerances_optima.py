@@ -1,0 +1,55 @@
+"""Searches end at known optima: kinds of problems, with quick and with costly units, and what a result tells of them.
+
+Of a result the share of good units is known without sampling. A certificate wants it 2.3 of its standard errors above
+the target (1.96 of its interval and a cushion), and by luck up to 5. The cost is compared with the least cost for that
+share: what is left is the error of the shape, that slopes of a sample give.
+"""
+
+import math
+
+import numpy as np
+import pytest
+from optima_cases import CASES
+
+from rvjax.tolerances import allocate
+
+NEAR = {False: 1.0015, True: 1.004}
+"""Cost over the least one for the share that was reached, of quick and of costly units."""
+SLOPELESS = ("failing", "steps")
+"""Of units whose slopes mislead only quick ones are searched along rays."""
+
+
+def solved(case, costly, **changes):
+    given = case.arguments(costly, **changes)
+    return allocate(given.pop("response"), given.pop("tolerances"), given.pop("requirements"), **given)
+
+
+def reached(case, found):
+    """Share of good units of a result, and its standard errors above the target."""
+    widths = np.array(list(found.half_widths.values()))
+    share = case.share(widths, float(found.tolerances["b"].middle), found.values.get("d", 1.0))
+    return share, (share - case.target) / math.sqrt(case.target * (1 - case.target) / found.certificate.samples)
+
+
+@pytest.mark.parametrize("costly", [False, True])
+@pytest.mark.parametrize("name", CASES)
+def test_the_end_is_the_known_optimum(name, costly):
+    case = CASES[name]
+    found = solved(case, costly)
+    if costly and name in SLOPELESS:
+        assert found.status in ("MAX_STEPS", "NOT_CERTIFIED") and found.residual > 0.1
+        return
+    share, errors = reached(case, found)
+    assert found.status == "OPTIMAL" and found.residual < 0.1
+    assert 0 < errors < 5
+    assert found.certificate.verdicts["y"].met and found.certificate.verdicts["y"].estimate.lower >= case.target
+    least = case.least(share)[0]
+    assert (1 - 1e-5) * least <= found.cost < NEAR[costly] * least
+    assert found.learned <= found.cost < 1.06 * found.learned and found.start_cost > found.cost
+    price = case.price(share)
+    assert found.multipliers["y"] == pytest.approx(price, rel=0.4 if name == "steps" else 0.03)
+    if costly:
+        low, high = found.multiplier_intervals["y"]
+        assert low < found.multipliers["y"] < high and abs(found.multipliers["y"] - price) < high - low  # 4 errors
+        assert found.evaluations["sample"] == (16_384 if case.target > 0.99 else 4096)
+    assert found.evaluations["certificates"] >= found.certificate.samples
