@@ -1,9 +1,9 @@
 """Search in a trust region: the cheapest vector of decisions that meets all constraints of a sample.
 
-Around a vector powers of the used ways are linear in powers of the half-widths, and quadratic in mid-points and numbers:
-what was seen at another vector gives the curvature. Costs are exact. Outputs without errors take one unit: they
-are looked at again at the end of each step of the model until it is right there. An interior point method solves the
-model within a box; an excess over a limit has a price. A step is taken where it gains enough of what the model promised.
+Around a vector powers of the used ways are linear in powers of the half-widths, and quadratic in mid-points and
+numbers: what was seen at another vector gives the curvature. Costs are exact. Outputs without errors take one unit:
+they are looked at again at the end of each step of the model until it is right there. An interior point method solves
+the model within a box; an excess over a limit has a price. A step is taken where it gains enough of what was promised.
 """
 
 import dataclasses
@@ -22,6 +22,9 @@ GAIN = 1e-5, 5e-4
 COARSE = 5e-3
 """The same on a sample that grows afterwards."""
 
+STATIONARY = 0.1
+"""Residual of an optimum: it costs less than half of its square."""
+
 MET = 0.01
 """Excess over a limit, in parts of its way, within the error of a sample."""
 
@@ -34,6 +37,7 @@ _SHORTER = 3.0  # times smaller is the box than a step that was not taken
 _FLAT = 0.05  # used way, below which its square has no slope of its own
 _LOST = 3.0  # excess of a limit whose units fail, in parts of its way
 _PRICE, _DEARER_BY, _DEARER = 2.0, 10.0, 1e4  # of an excess of a whole way, in costs; its growth, and the most
+_STRAIGHTER = 4  # times at the end of a search, at most, at which what was learned of curvatures is reduced
 _EXACT = 1e-9  # error of a limit without errors at the end of a step, in parts of its way
 _ROUNDS = 8  # of the model, each with these outputs seen at the end of the one before
 _BENT = 0.03  # of a reach: the errors of a shorter step are not those of a curvature
@@ -51,6 +55,7 @@ class End:
         at_low: (n,) rate at which the cost grows with each lower bound, not negative.
         at_high: (n,) rate at which it falls with each upper bound, not negative.
         residual: largest saving of an entry that no price accounts for, as a part of all savings.
+        of_widths: the same of half-widths alone.
         promised: gain that the model promises nearby, as a part of the cost.
         settled: False where the number of looks ended the search.
     """
@@ -60,6 +65,7 @@ class End:
     at_low: np.ndarray
     at_high: np.ndarray
     residual: float
+    of_widths: float
     promised: float
     settled: bool
 
@@ -81,7 +87,7 @@ class Programme:
         self.low, self.high = self.decisions.low.copy(), self.decisions.high.copy()
         self._first = len(self.decisions.fields)
         self.bends = np.zeros((len(constraints.rows) + 1, self.decisions.size, self.decisions.size))
-        """Curvatures (c + 1, n, n) of powers of the used ways, and of the loss, besides those of the model, in reaches."""
+        """Curvatures (c + 1, n, n) of powers of the used ways, and of the loss, in reaches; those of the model apart."""
         self._kept = self.bends
         self.weights: np.ndarray | None = None
         """Prices (c,) of excesses where these are all that counts, else None."""
@@ -100,7 +106,7 @@ class Programme:
         size = self._size(here)
         elastic = np.full(len(here.used), _PRICE * size) if self.weights is None else self.weights
         self.bends = self._kept
-        settled, least = False, _LEAST[self.constraints.problem.costly]
+        settled, straight, least = False, 0, _LEAST[self.constraints.problem.costly]
         while looks < most:
             size = self._size(here)
             plan = self._plan(here, radius, elastic)
@@ -109,6 +115,10 @@ class Programme:
                 broken = _excess(here) > MET
                 if radius >= least and self.weights is None and broken.any() and elastic.max() < _DEARER * size:
                     elastic = np.where(broken, _DEARER_BY * elastic, elastic)
+                    continue
+                if self._kept.any() and straight < _STRAIGHTER and self.end(here).residual > STATIONARY:
+                    self.bends = self._kept = self._kept / _SHORTER**2  # of longer steps: they promise nothing here
+                    straight, radius = straight + 1, max(radius, AGAIN)
                     continue
                 settled = True
                 break
@@ -152,8 +162,8 @@ class Programme:
         savings = max(savings, MET * abs(here.total), 1e-300)
         elastic = np.full(len(here.used), _PRICE * self._size(here)) if self.weights is None else self.weights
         promised = (self._merit(here, elastic) - self._plan(here, AGAIN, elastic).merit) / self._size(here)
-        residual = float(np.abs(left).max(initial=0.0)) / savings
-        return End(here, prices, at_low, at_high, residual, promised, settled)
+        residual, of_widths = (float(np.abs(own).max(initial=0.0)) / savings for own in (left, left[: self._first]))
+        return End(here, prices, at_low, at_high, residual, of_widths, promised, settled)
 
     def prices(self, here: Look, radius: float) -> np.ndarray:
         """Prices (c,) of used ways in the model around a look.
@@ -255,8 +265,8 @@ class Programme:
     def _learn(self, here: Look, there: Look, *, taken: bool) -> None:
         """Bend the model around a look so that it has the values seen at another one.
 
-        A step that was not taken bends it along the whole step, until one is taken. One that was taken bends it for good
-        along mid-points and numbers, by their part of the step: the model of half-widths is less wrong.
+        A step that was not taken bends it along the whole step, until one is taken. One that was taken bends it for
+        good along mid-points and numbers, by their part of the step: the model of half-widths is less wrong.
         """
         if taken:
             self.bends = self._kept
@@ -265,7 +275,9 @@ class Programme:
         if math.sqrt(numbers @ numbers) < _BENT:
             return
         part = float(numbers @ numbers / (step @ step))
-        told = np.append(self._powers(here, there.x)[0], self._total(here, there.x)[0] - self.decisions.cost(there.x)[0])
+        told = np.append(
+            self._powers(here, there.x)[0], self._total(here, there.x)[0] - self.decisions.cost(there.x)[0]
+        )
         error = np.append(_power(there), there.loss) - told
         known = np.append(np.isfinite(here.used) & np.isfinite(there.used), math.isfinite(there.loss))
         error = np.where(known, part * error, 0.0) if taken else np.where(known, np.maximum(error, 0.0), 0.0)
