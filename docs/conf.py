@@ -37,7 +37,7 @@ napoleon_use_rtype = False
 nitpick_ignore_regex = [
     ("py:.*", r"(?!rvjax\b).*"),
     ("py:class", r"rvjax\.tolerances\.requirements\.limits\.Limits"),  # what all kinds of requirements share
-    ("py:class", r"rvjax\.(tolerances\.optimum\.cost\.Cost|study\.variables\.Price)"),  # costs of a study
+    ("py:class", r"rvjax\.(tolerances\.allocation\.cost\.Cost|study\.variables\.Price)"),  # costs of a study
     ("py:class", r"rvjax\.identify\.(problem\.Problem|search\.Peak)"),  # kept for sample and predict
 ]
 

@@ -5,6 +5,7 @@ concrete numbers and makes whole ones real; tracers, nested records and records 
 so that records can be stacked, vmapped and differentiated. So does a record of axes, flags and None (`in_axes`).
 """
 
+import ast
 import dataclasses
 import inspect
 import operator
@@ -12,6 +13,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, TypeVar, dataclass_transform
 
 import jax
+import jax.export
 import jax.numpy as jnp
 import numpy as np
 
@@ -187,6 +189,13 @@ def record(cls: Class) -> Class:
         return item
 
     jax.tree_util.register_pytree_with_keys(made, flatten_with_keys, unflatten, flatten)
+    if "<locals>" not in made.__qualname__:  # another process finds those of modules only
+        jax.export.register_pytree_node_serialization(
+            made,
+            serialized_name=f"{made.__module__}.{made.__qualname__}",
+            serialize_auxdata=lambda aux: repr(aux).encode(),
+            deserialize_auxdata=lambda blob: ast.literal_eval(blob.decode()),
+        )
     return made
 
 

@@ -24,6 +24,7 @@ from jax.typing import DTypeLike
 
 from rvjax._jax.arguments import checked
 from rvjax._jax.marked import SOLVED
+from rvjax._jax.varying import while_loop
 from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record
 from rvjax.status import SolveInfo, Status, succeeded
 
@@ -198,6 +199,6 @@ def _bracketed_iteration(
         return target, *at(target), below, above, last, stride, status, steps
 
     first = (x, *at(x), below, above, jnp.full_like(x, jnp.inf), jnp.abs(upper - lower), status, jnp.zeros_like(status))
-    x, value, _, _, _, _, _, status, steps = jax.lax.while_loop(running, body, first)
+    x, value, _, _, _, _, _, status, steps = while_loop(running, body, first)
     info = SolveInfo(status.astype(jnp.int32), steps.astype(jnp.int32), jnp.abs(value))
     return x, info

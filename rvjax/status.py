@@ -128,7 +128,9 @@ def converged(residual: Array, steps: Array | int = 0) -> SolveInfo:
         residual: as in `SolveInfo`.
         steps: as in `SolveInfo`.
     """
-    return SolveInfo(jnp.zeros_like(residual, jnp.int32), jnp.full_like(residual, steps, jnp.int32), residual)
+    return SolveInfo(
+        jnp.zeros_like(residual, jnp.int32), jnp.broadcast_to(steps, residual.shape).astype(jnp.int32), residual
+    )
 
 
 def at_once(like: Array) -> SolveInfo:

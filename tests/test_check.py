@@ -55,6 +55,7 @@ def test_what_cannot_be_is_refused(old, new, words):
             'half_width = "4 mm"',
             "pin_circle_radius: half-width = 4 mm: known reducers have 0.5 um",
         ),
+        (DESIGN, DESIGN + '\ncycloid.pin_radius = "4.8 mm"', "pin_radius = 4.8 mm: pins from 4.629 mm on cut into the"),
         ('"412 N m"', '"784 kN m"', "output_torque = 784 kN m: known reducers have up to 3.136 kN m"),
         (DESIGN, DESIGN + '\ncranks.bearing_stiffness = "6e8 N/mm"', "bearing_stiffness = 6e+05 N/um: known reducers"),
         (DESIGN, DESIGN + "\ninvolute.planet_teeth = 46", "the planets overlap: tip radius 48 mm"),

@@ -79,7 +79,7 @@ def _close(**words):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: units.parse("3 mmm", "m"), "'3 mmm': unit 'mmm' (did you mean mm"),
+        (lambda: units.parse("3 arcmn", "rad"), "'3 arcmn': unit 'arcmn' (did you mean arcmin"),
         (
             _close(cranks="phase_loked"),
             "cranks = 'phase_loked' (did you mean phase_locked?): must be one of",

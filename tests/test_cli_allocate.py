@@ -111,6 +111,11 @@ def test_allocate_writes_tables_and_pictures(answered):
     ):
         assert words in text
     assert "Doubtful" not in text
+    own = text.partition("Influence on misfit:\n")[2].partition("\n\n")[0].split("\n")
+    listed = [float(line.split("%")[0].split()[-1]) for line in own[2:-1]]
+    assert listed == sorted(listed, reverse=True) and 3 <= len(listed) <= 6 and listed[-1] > 0
+    assert sum(listed) == pytest.approx(100, abs=1) and re.fullmatch(r"\d+ without .*influence.csv\)", own[-1])
+    assert max(map(len, own)) < 80  # of a drive 386 characters, when one table had all responses
     for name in PICTURES:
         picture = matplotlib.image.imread(out / f"{name}.png")
         assert picture.shape[1] > 800 and picture.std() > 0.02  # something is drawn
@@ -144,7 +149,8 @@ def test_an_answer_is_read_in_the_unit_that_was_asked(answers, answered, here):
     found = dataclasses.replace(old, study=rvjax.study.parse_study(asked, name="x", solve=False))
     before, after = report_on(old).text(), report_on(found).text()
     assert "<= 60 arcsec" in after and "/arcsec" in after and "<= 60 arcsec" not in before
-    slopes = [float(re.search(r"bearing_clearance +([\d.]+) arc", words).group(1)) for words in (before, after)]
+    own = r"Influence on transmission_error:.*?bearing_clearance .*? ([\d.]+) arc"
+    slopes = [float(re.search(own, words, re.DOTALL).group(1)) for words in (before, after)]
     assert slopes[1] == pytest.approx(60 * slopes[0], abs=0.006)
 
 

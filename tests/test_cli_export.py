@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import rvjax
-from rvjax import cli, running
+from rvjax import cli, running, study
 from rvjax.commands.export import compute
 from rvjax.status import SolveInfo
 from rvjax.units import arcmin
@@ -83,6 +83,17 @@ def test_bad_input_is_one_line_and_writes_nothing(folder, capsys, arguments, wor
     assert sorted(folder.iterdir()) == before and (folder / "there.json").read_text() == "mine"
 
 
+def test_conditions_of_a_joint_model_count_as_read():
+    """Of a design alone, and of one with friction whose required responses do not read them."""
+    alone = STUDY.partition("[tolerances")[0]
+    assert study.parse_study(alone, name="x", needs=("design",)).conditions.rated_torque == 8.8
+    other = STUDY.replace("[requirement.torsional_stiffness]", "[requirement.hysteresis]").replace("lower =", "upper =")
+    other = other.replace('"1 N m/arcmin"', '"9 arcmin"')
+    assert study.parse_study(other, name="x", solve=False).conditions.rated_torque == 8.8
+    with pytest.raises(study.StudyError, match=r"rated_torque = '8\.8 N m': no response required here reads it"):
+        study.parse_study(other.replace("friction = ", "# "), name="x", solve=False)
+
+
 def test_a_drive_without_errors(folder, capsys):
     """Backlash and stiffness of an independent solution (docs/models/single_stage.md); friction in the clearance."""
     assert cli.main(["export", "drive.toml", "a.json", "--format", "json", "--quiet"]) == 0
@@ -115,7 +126,9 @@ def test_a_measured_unit_with_the_options(folder, monkeypatch, capsys):
     (folder / "unit.toml").write_text(UNIT.format(places=places))
     command = ["--rated-torque", "4 N m", "--damping", "3 N m s/rad", "--unit", "unit.toml", "--quiet"]
     assert cli.main(["export", "drive.toml", "b.txt", "--as", "mjcf", *INERTIAS, *command]) == 0
-    assert "b.txt: mjcf" in capsys.readouterr().out
+    natural = np.sqrt(6 * 3e-6 * (1 / (1e-5 * 17**2) + 1 / 2e-3))  # of the train
+    said = capsys.readouterr().out
+    assert "b.txt: mjcf" in said and f"The timestep is {0.1 / natural:.2g} s" in said
     text = (folder / "b.txt").read_text()
     root = ElementTree.fromstring(text)
     train, rotor = root.find("tendon/fixed"), root.find("worldbody/body[@name='rotor']/joint")

@@ -126,9 +126,13 @@ COMBINATION = "[0,0] - [0,1] - [1,0] + [1,1]"  # of crank eccentricities, which 
 
 
 def test_what_is_seen_is_said_in_words(answered):
-    _, out, _ = answered
+    _, out, result = answered
     text = (out / "summary.txt").read_text()
     assert COMBINATION in text and "1 identified, 4 in combinations only" in text
+    (seen,) = [each for each in result["directions"] if len(each["terms"]) == 4]
+    assert seen["lower"] < KNOWN * um < seen["upper"] and seen["upper"] - seen["lower"] < 4 * um and seen["unit"] == "m"
+    assert f"{COMBINATION} = {seen['value'] / um:.4g} um [{seen['lower'] / um:.4g}, {seen['upper'] / um:.4g}]" in text
+    assert "warning" not in text
     assert "The data do not determine pin_radius" in text and "Measure next:" in text
 
 
@@ -250,7 +254,7 @@ def test_several_units_share_a_question(here, capsys):
         (("nuisance =", "unknown.speed = {}\nnuisance ="), "identify.unknown.speed: no number of this design"),
         (
             ("nuisance =", 'unknown.bearing_stiffness = {lower = "1 um", upper = "2 um"}\nnuisance ='),
-            "identify.unknown.bearing_stiffness.lower = '1 um': unit 'um' (did you mean N/um?) is not one of N/m, N/mm",
+            "identify.unknown.bearing_stiffness.lower = '1 um': unit 'um' is not one of N/m, N/mm",
         ),
         (("nuisance =", "turns = 3\nnuisance ="), "unknown key identify.turns; known here: directions, model"),
         (("[identify]", "[columns]\nerror = \"TE\"\n[identify]"), "columns.error = 'TE': no column of the file"),
@@ -284,7 +288,9 @@ def test_refusals_of_the_command(here, capsys):
     assert "no data: name at least one CSV file" in run(capsys, "unit.toml")[2]
     assert "--results unit.csv: exists already" in run(capsys, "unit.toml", "unit.csv", "--results", "unit.csv")[2]
     assert "none.csv: no such data file" in run(capsys, "unit.toml", "none.csv")[2]
-    assert "[identify] is missing" in run(capsys, "rv-40e", "unit.csv")[2]
+    assert 'at least model = "four_bar" or "dynamics" or "loaded", orders' in run(capsys, "rv-40e", "unit.csv")[2]
+    assert 'at least model = "loaded", orders' in run(capsys, "cycloidal-17", "unit.csv")[2]
+    assert "no model of an oscillatory roller reducer can be measured" in run(capsys, "corr", "unit.csv")[2]
     assert cli.main(["allocate", "unit.toml"]) == 2
     assert "unit: [requirement] is missing or empty" in capsys.readouterr().err
 

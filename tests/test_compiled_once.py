@@ -58,14 +58,14 @@ def rubbing(x):
 
 
 def placed(x):
-    return RVErrors(planet_runout=x * um, disc_bore=np.full((3, 4, 2), x * um), sun_flank=np.full((4, 2), x * um))
+    return RVErrors(planet_runout=x * um, disc_bore=jnp.full((3, 4, 2), x * um), sun_flank=jnp.full((4, 2), x * um))
 
 
 FEW = CORR.replace(gear_teeth=3)  # every roller is traced for itself
 
 
 def rollers(x):
-    return CamRollerErrors(cam_radius=x * um, eccentricity=0.0, roller_radius=np.full(FEW.gear_teeth + 1, x * um))
+    return CamRollerErrors(cam_radius=x * um, eccentricity=0.0, roller_radius=jnp.full(FEW.gear_teeth + 1, x * um))
 
 
 def links(x):
@@ -129,7 +129,7 @@ CALLS = {  # name: one call of the function for each way that is decided before 
             FEW,
             rollers(x),
             "cam_radius",
-            np.array([149.0, 150.0 + x]) * mm,
+            jnp.array([149.0, 150.0 + x]) * mm,
             input_torque=100.0,
             samples=1,
             contact="linear",
@@ -161,7 +161,7 @@ CALLS = {  # name: one call of the function for each way that is decided before 
         ),
     ],
     "dynamics.speed_sweep": [
-        lambda x: dynamics.speed_sweep(sounder(x), placed(x), sun_speeds=np.array([100.0, 200.0 * x]))
+        lambda x: dynamics.speed_sweep(sounder(x), placed(x), sun_speeds=jnp.array([100.0, 200.0 * x]))
     ],
     "dynamics.speed_range": [
         lambda x: dynamics.speed_range(
@@ -174,7 +174,7 @@ CALLS = {  # name: one call of the function for each way that is decided before 
     "life.dynamic_rating": [lambda x: life.dynamic_rating(roller(x))],
     "life.static_rating": [lambda x: life.static_rating(roller(x))],
     "life.bearing_life": [
-        lambda x, method=method: life.bearing_life(roller(x), np.full((4, 2), 100 * x), method=method)
+        lambda x, method=method: life.bearing_life(roller(x), jnp.full((4, 2), 100 * x), method=method)
         for method in ("basic", "raceway", "slices")
     ],
     "life.rating": [lambda x: life.rating(RATED, units(x), life.Duty([100 * x], [x], [1.0]), samples=2)],
@@ -185,7 +185,7 @@ CALLS = {  # name: one call of the function for each way that is decided before 
     "running.back_driving": [lambda x: running.back_driving(RATED, units(x), rubbing(x), samples=2)],
     "running.hysteresis": [lambda x: running.hysteresis(RATED, units(x), rubbing(x), input_angle=x)],
     "running.joint": [lambda x: running.joint(RATED, units(x), rubbing(x), rated_torque=100 * x, samples=2)],
-    "running.fit_drag": [lambda x: running.fit_drag(np.array([1.0, 2.0, -1.0, -2.0]), np.full(4, x))],
+    "running.fit_drag": [lambda x: running.fit_drag(np.array([1.0, 2.0, -1.0, -2.0]), x * np.array([1.0, 2, -1, -2]))],
     "geometry.figures": [lambda x: geometry.figures(MACHINE, 100 * x)],
     "roots.bracketed": [lambda x: roots.bracketed(residual, x, 0.0, 2.0)],
 }
@@ -193,7 +193,7 @@ CALLS = {  # name: one call of the function for each way that is decided before 
 
 def pressed(x):
     """Forces such as `solve` returns, of which what reads them makes something whatever they are."""
-    force = np.full(FEW.gear_teeth + 1, 100.0 * x)
+    force = jnp.full(FEW.gear_teeth + 1, 100.0 * x)
     return mesh_force.MeshForces(cam=force, cage=force, gear=force, windup=x, info=SolveInfo(0, 5, 1e-15))
 
 

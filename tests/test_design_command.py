@@ -264,6 +264,10 @@ def test_what_the_command_refuses(tmp_path, monkeypatch, capsys):
     assert cli.main(["design", "rv-40e"]) == 2 and "[variable] is missing" in capsys.readouterr().err
     assert cli.main(["design", "rv-40e-design", "--front", "99"]) == 2
     assert "--front 99: must lie between 0 and 16" in capsys.readouterr().err
+    unread = '[variable."cycloid.force_angle"]\nlower = "20 deg"\nupper = "40 deg"\n'
+    (tmp_path / "unread.toml").write_text(SMALL + unread)
+    assert cli.main(["design", "unread.toml"]) == 2
+    assert 'variable."cycloid.force_angle": no required output depends on it (' in capsys.readouterr().err
 
 
 def test_init_writes_a_study_with_variables(tmp_path, monkeypatch, capsys):

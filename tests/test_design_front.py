@@ -6,11 +6,13 @@ from types import SimpleNamespace
 import pytest
 
 from rvjax import study
+from rvjax.commands.cells import binding
 from rvjax.commands.design import compute
 from rvjax.commands.design.compute import Designed, Point
 from rvjax.commands.design.figures import figures
 from rvjax.commands.design.prices import limit_price, multiplier, nominal_limit
 from rvjax.commands.design.report import numbers, others, saved_part, starts_text
+from rvjax.outputs import Output
 from rvjax.tolerances import Nominal
 from rvjax.units import mm, um
 
@@ -40,7 +42,7 @@ def test_a_limit_of_nothing_binds_as_any_other(limit, price, due):
     asked = SimpleNamespace(
         requirements={"gap": Nominal(lower=limit)}, nominal={}, output=lambda _: SimpleNamespace(shown=("um", um))
     )
-    point = SimpleNamespace(found=SimpleNamespace(multipliers={"gap": -price}, cost=10.0))
+    point = SimpleNamespace(found=SimpleNamespace(multipliers={"gap": -price}, multiplier_intervals={}, cost=10.0))
     assert multiplier(asked, point, "gap") == due
 
 
@@ -95,11 +97,30 @@ def test_a_price_that_no_search_found_is_unknown():
         requirements={}, nominal={"gap": Nominal(lower=1e-3)},
         output=lambda _: SimpleNamespace(unit="m", read_in=None, shown=("mm", mm)),
     )  # fmt: skip
-    ends = {"gap": (-2500.0, 100.0)}
-    cases = [(math.nan, {}), (0.0, {}), (-2e3, {}), (-2e3, ends)]
+    over, below = {"gap": (-2500.0, 100.0)}, {"gap": (-2500.0, -1500.0)}
+    cases = [(math.nan, {}), (0.0, {}), (-2e3, {}), (-2e3, over), (-2e3, below)]
     found = [SimpleNamespace(multipliers={"gap": price}, cost=10.0, multiplier_intervals=i) for price, i in cases]
     prices = [limit_price(asked, SimpleNamespace(found=each), "gap") for each in found]
-    assert prices == ["unknown", "not binding", "2 /mm", "2 [0, 2.5] /mm"]
+    assert prices == ["unknown", "not binding", "2 /mm", "not binding", "2 [1.5, 2.5] /mm"]
+
+
+@pytest.mark.parametrize(
+    ("unit", "read_in", "due"),
+    [("m", "um", "0.002 /um"), ("m", "mm", "2 /mm"), ("s", "h", "7.2e+09 /1000 h"), ("-", None, "2e+03")],
+)
+def test_a_price_is_in_the_unit_of_the_limit(unit, read_in, due):
+    output = Output(unit, "gap", None, read_in=read_in)
+    asked = SimpleNamespace(requirements={}, nominal={"gap": Nominal(lower=1e-3)}, output=lambda _: output)
+    point = SimpleNamespace(found=SimpleNamespace(multipliers={"gap": -2e3}, cost=10.0, multiplier_intervals={}))
+    assert limit_price(asked, point, "gap") == due
+
+
+def test_a_shadow_price_whose_interval_contains_zero_binds_nothing():
+    """Of an allocation: in the table of requirements, and in the sentence below it."""
+    found = SimpleNamespace(
+        multipliers={"a": -8e-6, "b": -2.0, "c": 0.0}, multiplier_intervals={"a": (-3e-5, 1e-5), "b": (-3.0, -1.0)}
+    )
+    assert [binding(found, name) for name in "abc"] == [0.0, -2.0, 0.0]
 
 
 def test_costs_of_other_starts_are_one_line():

@@ -70,7 +70,7 @@ def test_a_drive_has_times_of_its_own():
     assert expected(drive).startswith("time: about ")
 
 
-def test_phases_are_forecast_in_the_order_of_a_run(monkeypatch):
+def test_phases_are_named_in_the_order_of_a_run(monkeypatch):
     begun = []
     monkeypatch.setattr(answer, "begin", begun.append)
     text = """[design]
@@ -89,8 +89,6 @@ certificate_samples = 4096
     small = study.parse_study(text, name="small")
     answer.answer(small, measure=False)
     assert begun == [SEARCHING, CERTIFYING, SAMPLING, PRICING]
-    assert list(phases_of(small, "before", "after")) == ["before", *begun, "after"]
-    loaded = phases_of(study.load("rv-40e-whole", solve=False), "before", "after")
+    assert list(phases_of("before", "after")) == ["before", *begun, "after"]
     whole = study.load("rv-40e-whole", solve=False)
     assert solved_units(whole)[SAMPLING] == 128 * 21  # each of 20 errors of 128 units is sampled again
-    assert list(loaded) == ["before", *begun, "after"] and loaded[SEARCHING] > 20 + loaded[PRICING] / 10

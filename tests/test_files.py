@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from rvjax import cli, measured, study
+from rvjax._ground.cells import read_cells
 from rvjax.commands.compensate import corrections
 from rvjax.designs import RVReducer
 from rvjax.measured import read_table
+from rvjax.render import as_csv
 from rvjax.tolerances import measured as measured_parts
 from rvjax.units import arcsec, deg, rpm, um
 
@@ -146,6 +148,49 @@ def test_the_degree_sign_of_any_encoding(write, encoding):
     assert bool(guessed) == (encoding in ("cp1252", "latin-1", "gb18030"))
 
 
+SCRIPTS = {
+    "cp932": [
+        "角度（度）,誤差（秒）",
+        "回転角[°],伝達誤差[″]",
+        "ねじれ角,エラー",
+        "角度,ﾄﾙｸ",
+        "外径,項目",
+    ],
+    "euc_jp": ["角度[deg],誤差[秒]", "測定番号,入力角度", "減速機入力回転数,起動トルク"],
+    "cp949": ["각도[deg],오차[초]", "하중 [N],변위 [mm]", "시료,각"],
+    "cp950": ["角度（度）,誤差（秒）", "批號,零件名", "輸出軸扭矩,溫度"],
+    "gb18030": ["角度（度）,误差（秒）", "传动误差,备注：无", "好,x", "谐波减速器,样品"],
+    "cp1251": ["угол [град],ошибка [угл.сек]", "Крутящий момент [Н·м],Угол", "Дата,НОМЕР"],
+    "cp1252": ["Winkel [°],Fehler [µm]", "Größe,Verzögerung", "Couple à vide,Fréquence", "Ø,± 1"],
+}
+
+
+@pytest.mark.parametrize("encoding", SCRIPTS)
+def test_an_old_encoding_is_guessed_by_words_of_a_bench(write, encoding):
+    for head in SCRIPTS[encoding]:
+        text = f"{head},{PLAIN}\n" + "".join(f"0,0,{row}\n" for row in rows().split())
+        table = read_table(write(text.encode(encoding)))
+        assert table.header[:2] == tuple(head.split(",")), head
+        assert table.notes[0].startswith(f"the file is not UTF-8; it is read as {encoding} (")
+
+
+def test_the_encoding_may_be_named(write, tmp_path, capsys):
+    path = write("úhel [deg];převod\n1;2\n".encode("cp1250"))
+    assert "is read as cp1252 (western Europe); another one: --encoding" in message(path, {"angle": "uhel"})
+    assert "is read as cp1252 (western Europe); another one: --encoding" in message(path)
+    table = read_table(path, {"angle": "úhel"}, encoding="cp1250")
+    assert table.header == ("úhel [deg]", "převod") and "UTF-8" not in "".join(table.notes)
+    with pytest.raises(ValueError, match=r"encoding = 'cp125' .*must be one of utf-8"):
+        read_table(path, encoding="cp125")
+    with pytest.raises(ValueError, match=r"cannot be read as text \('ascii' codec"):
+        read_table(path, encoding="ascii")
+    lot = write("Größe;pin_radius [um]\n1;1,5\n2;2,5\n".encode("cp1252"))
+    assert measured_parts(lot, {"pin_radius": "pin_radius"}, encoding="cp1252").columns["pin_radius"].n == 2
+    (tmp_path / "reducer.toml").write_text(REDUCER.partition("[columns]")[0])
+    assert cli.main(["compensate", str(tmp_path / "reducer.toml"), str(path), "--encoding", "cp125"]) == 2
+    assert "encoding = 'cp125'" in capsys.readouterr().err
+
+
 def test_chinese_words_of_an_old_program(write):
     text = "时间（s）,角度（°）,误差（″）,备注\n" + "".join(f"0,{line},好\n" for line in rows().split())
     for encoding in ("utf-8", "gb18030", "utf-16"):
@@ -203,6 +248,19 @@ WRONG = {
     "sec": ("angle [deg],error [sec]\n1,2\n", ["unit 'sec' is not known (did you mean arcsec?)"]),
     "grad": ("angle [grad],error [arcsec]\n1,2\n", ["unit 'grad' is not known; write"]),
     "count": ("angle [count],error [arcsec]\n1,2\n", ["needs the counts per turn", "counts_per_turn = 524288 }"]),
+    "a unit of another size": (
+        "torque [MN m],angle [deg]\n1,2\n",
+        ["unit 'MN m' is not known; write the numbers in another one", 'under "torque [N m]" (N m, kN m'],
+    ),
+    "a unit of another size in a foreign name": (
+        "Moment [MN m],angle [deg]\n1,2\n",
+        ['such as error = "Moment [MN m]"'],
+    ),
+    "two encoders": (
+        "time [s],motor encoder [deg],output encoder [deg]\n0,1,2\n",
+        ["of two encoders, the error is the angle of the output less that of the input over the ratio"],
+    ),
+    "formula": (f"{PLAIN}\n0.5,1\n=A2+1,2\n", ["angle = '=A2+1': must be a number in deg; save the values"]),
     "no column left": (
         "torque [N m]\n1\n",
         ["columns torque: what is needed", "the file has the columns torque [N m]"],
@@ -323,6 +381,39 @@ def test_a_study_of_the_reducer_alone_compensates(tmp_path, monkeypatch, capsys)
     (tmp_path / "nothing.toml").write_text("[about]\ntitle = 'x'\n")
     assert cli.main(["compensate", "nothing.toml", "curve.csv"]) == 2
     assert "nothing: [design] is missing or empty" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("said", ["kN m", "ozf in", "gf·cm", "kg cm", "N･cm"])
+def test_the_unit_of_a_header_and_another_one_in_columns_are_refused(write, said):
+    path = write(f"torque [{said}],angle [deg]\n1,2\n")
+    with pytest.raises(ValueError, match=rf"columns.torque.unit = 'N m': the header says '{said}'; remove one"):
+        read_table(path, {"torque": {"column": f"torque [{said}]", "unit": "N m"}})
+    same_unit = read_table(path, {"torque": {"column": "torque", "unit": said}})
+    assert same_unit.numbers["torque"] == read_table(path).numbers["torque"]
+
+
+def test_a_comma_in_the_brackets_of_a_header_needs_no_quotes(write):
+    text = "kind,id,disc_bore[0,1] [um],disc_bore[1,0] [um],note (a, (b, c)),x)\ndisc,a,1,2,n,y\n"
+    plain = read_cells(write(text))
+    quoted = 'kind,id,"disc_bore[0,1] [um]","disc_bore[1,0] [um]","note (a, (b, c))",x)\ndisc,a,1,2,n,y\n'
+    assert (plain.header, plain.body) == (read_cells(write(quoted)).header, [(2, ["disc", "a", "1", "2", "n", "y"])])
+    lot = measured_parts(write("disc_bore[0,0] [um];disc_bore[0,1] [um]\n1;2\n3;4\n".replace(";", ",")))
+    assert list(lot.columns) == ["disc_bore[0,0]", "disc_bore[0,1]"]
+
+
+def test_no_text_of_a_result_is_a_formula():
+    rows = [["=1+1", 1.5], ["@SUM(A1)", None], ["+- 0.2 arcsec", -2.0], ["-", "-"], ["-1.5", "+2e-3"], ["a=b", "-x"]]
+    lines = as_csv(["name", "=value"], rows).decode().split("\n")[:-1]
+    assert lines == ["name,'=value", "'=1+1,1.5", "'@SUM(A1),", "'+- 0.2 arcsec,-2.0", "-,-", "-1.5,+2e-3", "a=b,'-x"]
+
+
+def test_a_row_of_very_many_columns_is_one_message(write):
+    for text in (
+        ",".join(["1"] * 200_000),
+        ",".join(f"c{k} [deg]" for k in range(200_000)),
+        " ".join(["x"] * 200_000),
+    ):
+        assert message(write(text)) == "200000 columns, at most 10000; a table has a row for each reading"
 
 
 def test_measured_parts_have_units_in_any_brackets(write):

@@ -318,6 +318,21 @@ def missing(source):
     return sorted(found)
 
 
+def test_pages_that_messages_and_comments_name_exist():
+    """Pages of the docs, and headings on them, in code, tables of commands, studies, templates and notebooks."""
+    texts = [path for path in (ROOT / "rvjax").rglob("*") if path.suffix in (".py", ".toml", ".j2", ".js")]
+    named = {
+        (page, anchor)
+        for path in [*texts, *(ROOT / "notebooks").glob("*.ipynb"), *ROOT.glob("*.md")]
+        for page, anchor in re.findall(r"\b(docs/[\w/]+\.md)(?:#([\w-]+))?", path.read_text("utf-8"))
+    }
+    assert len(named) > 8
+    for page, anchor in sorted(named):
+        headings = re.findall(r"^(?:#+ (.*)|\(([\w-]+)\)=)$", (ROOT / page).read_text("utf-8"), re.M)
+        known = {label or re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title, label in headings}
+        assert not anchor or anchor in known, (page, anchor)
+
+
 def test_notebooks_take_from_the_package_what_it_has():
     """A name that moved fails here, long before the notebooks run."""
     moved = "from rvjax.tolerances import gone, sample\nfrom rvjax import plotting as p, study\nimport rvjax.gone\n"

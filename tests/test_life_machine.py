@@ -17,7 +17,7 @@ import rvjax
 from rvjax import Bearings, RVErrors, Status, life, study
 from rvjax.life.angles import input_angles
 from rvjax.life.histories import LIFE, WEIBULL
-from rvjax.life.machine import check_plan
+from rvjax.life.machine import check_plan, reliability_factor
 from rvjax.loaded import BearingForces, admit, bearing_forces, unchecked
 from rvjax.population import Population, drawn, root_key
 from rvjax.records import promote
@@ -78,12 +78,17 @@ def test_bearings_are_a_series_system(rated):
 
 
 def test_reliability_scales_all_lives_alike(rated):
-    """Eq. 23: the factors of 1977, 0.62 at 95 % and 0.21 at 99 %."""
-    for reliability, factor in ((0.95, 0.62), (0.99, 0.21)):
+    """Eq. 23: the table of ISO 281:2007, to its last digit."""
+    for reliability, factor in ((0.95, 0.64), (0.99, 0.25)):
         found = rate_together(DESIGN, ERRORS, DUTY, reliability=reliability)
-        a1 = (np.log(1 / reliability) / np.log(1 / 0.9)) ** (1 / 1.5)
+        a1 = 0.95 * (np.log(1 / reliability) / np.log(1 / 0.9)) ** (1 / 1.5) + 0.05
         assert_same(found, rated, a1)
         assert a1 == pytest.approx(factor, abs=0.005)
+    shares = np.array([90, 95, 96, 97, 98, 99, 99.2, 99.4, 99.6, 99.8, 99.9, 99.92, 99.94, 99.95]) / 100
+    table = [1, 0.64, 0.55, 0.47, 0.37, 0.25, 0.22, 0.19, 0.16, 0.12, 0.093, 0.087, 0.080, 0.077]
+    factors = np.asarray(reliability_factor(shares))
+    np.testing.assert_allclose(factors[:10], table[:10], atol=0.005)
+    np.testing.assert_allclose(factors[10:], table[10:], atol=0.0005)
 
 
 def test_derivatives_are_those_of_the_plain_value():
@@ -213,7 +218,7 @@ def test_the_search_for_a_torque_under_forces_of_a_closed_form(monkeypatch):
 
     rates = [(share / float(life.dynamic_rating(b))) ** LIFE for b, share in ((ARM, 1.0), (SUPPORT, 0.5))]
     system = np.sum(4 * np.power(rates, WEIBULL)) ** (1 / WEIBULL)  # four of each, under 1 N
-    factor = (np.log(0.95) / np.log(0.9)) ** (1 / 1.5)
+    factor = 0.95 * (np.log(0.95) / np.log(0.9)) ** (1 / 1.5) + 0.05
     force = (1e6 / system / (2e7 * 15 * rpm * 40 / (2 * np.pi) / factor)) ** (1 / LIFE)
     assert search(2e7) == (pytest.approx((force - LEFT) * design.cranks.circle_radius, rel=1e-9), Status.CONVERGED)
     assert search(1e15) == (pytest.approx(np.nan, nan_ok=True), Status.NO_BRACKET)

@@ -289,3 +289,27 @@ def test_a_staircase_of_torques_is_read(read):
     assert not loop.clipped and len(loop.torque) == 21
     assert np.sqrt(np.mean(score(loop) ** 2)) < 1.2
     assert found["stiffness"].value == pytest.approx(STIFFNESS / arcmin, rel=2e-3)
+
+
+@pytest.mark.parametrize("step", [41.2, 20.6])
+@pytest.mark.parametrize("again", [1, 4])
+def test_a_cycle_of_few_torques_is_refused_however_long_the_record(read, step, again):
+    """The backlash closes over 10 N m: 20 or 40 torques of a branch give a width of 0.56 for 0.756 arcmin."""
+    torque = np.repeat(ramp(0, *(MOST, -MOST) * 2, MOST, step=step), again)
+    with pytest.raises(ValueError, match=r"torques in a cycle, both ways: needs 84; take smaller steps"):
+        read(torque, twist(torque))
+
+
+def test_steps_beyond_the_torque_of_lost_motion_give_no_width(read):
+    """Enough torques, in steps of 19 N m about zero; fine steps there and coarse ones outside are enough."""
+    torque = ramp(*THREE, step=19.0)
+    loop, found = read(torque, twist(torque))
+    assert found["coarse steps"].warning and found["coarse steps"].value == pytest.approx(18.7, abs=0.1)
+    assert "width at zero torque" not in found and "lost motion" not in found
+    assert np.abs(score(loop)).max() < 3
+    half = np.r_[np.linspace(0, 20, 11), np.linspace(30, MOST, 35)]
+    cycle = np.r_[-half[::-1], half[1:]]
+    torque = np.r_[half, cycle[::-1][1:], cycle[1:]]
+    _, found = read(torque, twist(torque))
+    assert "coarse steps" not in found
+    assert found["lost motion"].value == pytest.approx(float(EXACT.lost_motion), abs=1e-3 * arcmin)

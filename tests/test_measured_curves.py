@@ -146,6 +146,42 @@ def test_a_bad_reading_is_named_and_left_out(rows):
     assert sorted(int(text.split(",")[0].removeprefix("row ")) for text in named) == [row + 2 for row in rows]
 
 
+@pytest.mark.parametrize("points", [12, 13, 16, 24, 36, 48])
+@pytest.mark.parametrize("wrong", [{0: -36.2}, {7: -3.6}, {-1: 5.0}, {2: -36.2, 8: 20.0}])
+def test_wrong_readings_among_few_are_named_and_left_out(points, wrong):
+    """A round of 0.3 deg with noise of 0.002 deg, on drives whose lowest orders are 39 and 16."""
+    angle, rng = equal(points), np.random.default_rng(points)
+    error = 0.3 * np.cos(angle * deg + 0.4) + 0.002 * rng.standard_normal(points)
+    for parts in (PARTS, {"holes": 16.0, "pins": 17.0}):
+        fine = judge(run(angle, error * 3600, rows=np.arange(points) + 2), parts)
+        assert not fine.found("glitch") and len(fine.angle) == points
+        bad = error.copy()
+        bad[list(wrong)] = list(wrong.values())
+        judged = judge(run(angle, bad * 3600, rows=np.arange(points) + 2), parts)
+        named = [f.text for f in findings(judged) if f.name == "bad reading"]
+        rows = sorted(int(text.split(",")[0].removeprefix("row ")) for text in named)
+        assert rows == sorted(k % points + 2 for k in wrong) and len(judged.angle) == points - len(wrong)
+        assert judged.noise < 0.004 * deg
+
+
+@pytest.mark.parametrize("at", [0, 1, 120, 198])
+@pytest.mark.parametrize("back", [False, True])
+def test_a_wrong_angle_is_a_bad_reading_and_no_pass(tmp_path, at, back):
+    """Counts of an encoder; the first row, 2050 for 3, was a backward curve of two points."""
+    counts = np.round(3 + np.arange(200) * 4096 / 200)
+    error = curve(counts * 2 * np.pi / 4096, {39: 10 * np.exp(-1j), 41: 8.0}) + noise(200)
+    if back:
+        counts, error = np.concatenate([counts, counts[::-1]]), np.concatenate([error, error[::-1] + 2])
+    counts[at] = (counts[at] + 2047) % 4096
+    file = tmp_path / "bench.csv"
+    file.write_text("angle,error [arcsec]\n" + "".join(f"{a},{e}\n" for a, e in zip(counts, error)))
+    columns = {"angle": {"column": "angle", "unit": "count", "counts_per_turn": 4096}}
+    runs = measured.read([file], columns).runs
+    assert [(one.at.direction, len(one.angle)) for one in runs] == [("forward", 200), ("backward", 200)][: 1 + back]
+    named = [f.text for one in runs for f in findings(judge(one, PARTS)) if f.name == "bad reading"]
+    assert [text.split(",")[0] for text in named] == [f"row {at + 2}"]
+
+
 # Noise
 
 

@@ -218,7 +218,7 @@ def test_a_study_takes_equal_readings_of_a_file_as_steps(write):
     [
         (LOT, {"pin_radius": "pins"}, "columns.pin_radius = 'pins': no column of the file; it has Teil, pin_radius"),
         (LOT, {"pin_radius": "Bohrung"}, "column 'Bohrung': has no unit; write \"pin_radius [m]\""),
-        (LOT, {"pin_radius": "crank_phase"}, "unit 'arcmin' is not known; write \"pin_radius [m]\" (m, mm, um)"),
+        (LOT, {"pin_radius": "crank_phase"}, 'in another one, under "pin_radius [m]" (m, mm, um, cm)'),
         (LOT, {"pin": "pin_radius"}, "columns: 'pin' is no error of this design; it has"),
         (LOT, {"disc_bore[0,1]": COLUMNS["disc_bore[0,1,0]"]}, "'disc_bore[0,1]' is no element of shape (2, 2, 2)"),
         (LOT, {"pin_radius": "Teil [um]"}, "no column of the file"),
@@ -232,6 +232,17 @@ def test_bad_tables_are_one_line(write, text, columns, words):
     with pytest.raises(ValueError, match=re.escape(words)) as error:
         measured(write(text), columns, design=catalogue.RV_40E)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("upper", [5 * um, -3 * um])
+def test_a_limit_on_one_side_has_its_capability(write, upper):
+    """Mean 2, sd sqrt(3.125); the other end of the tolerance is that of an error without limits, or the limit."""
+    found = measured(write(LOT), COLUMNS, design=catalogue.RV_40E, limits={"pin_radius": (-math.inf, upper)})
+    sd, law = math.sqrt(3.125) * um, found.tolerances["pin_radius"]
+    assert found.columns["pin_radius"].cpk.value == pytest.approx((upper - 2 * um) / (3 * sd))
+    assert law.upper == upper and law.lower == pytest.approx(min(2 * um - 3 * sd, upper))
+    open_ = measured(write(LOT), COLUMNS, design=catalogue.RV_40E, limits={"pin_radius": (-math.inf, math.inf)})
+    assert open_.columns["pin_radius"].cpk is None
 
 
 def test_limits_that_are_none_are_refused(write):

@@ -5,6 +5,7 @@ import io
 import signal
 import sys
 import time
+from concurrent.futures import Future
 
 import pytest
 
@@ -28,33 +29,45 @@ class Clock:
         return self.now
 
 
-def test_what_is_left_follows_the_pace_so_far():
+def test_only_counted_units_tell_what_is_left():
+    """At the pace since the first units: what compiled before them does not count."""
     clock = Clock()
-    run = progress.Phases(EXPECTED, io.StringIO(), clock=clock, trusted=1e-9)
+    run = progress.Phases(["reading", "drawing", "writing"], io.StringIO(), "drawing", clock=clock)
     run.begin("reading")
-    assert run.left() == pytest.approx(50)
-    clock.now = 5
-    assert run.left() == pytest.approx(45)
-    clock.now = 20  # twice as slow
-    run.begin("searching")
-    assert run.left() == pytest.approx(60 + 20)
-    clock.now = 110  # 90 s in a phase of 30: a share of them to its end, and the rest takes three times as long
-    assert run.left() == pytest.approx(0.2 * 90 + 30)
-    run.detail("7 steps")
-    assert run.line().split(": ") == ["phase 2 of 3, about 48 s left, 90 s in", "searching, 7 steps"]
-
-
-def test_the_rest_of_a_counted_phase_follows_from_its_part():
-    clock = Clock()
-    run = progress.Phases({"reading": 5.0, "drawing": 0.0}, io.StringIO(), "drawing", clock=clock)
-    run.begin("reading")
-    run.begin("drawing")
     clock.now = 30
-    run.detail("drawing 25 %", 0.25)
-    assert run.left() == pytest.approx(90)
-    unknown = progress.Phases({"fit": 0.0}, io.StringIO(), clock=clock)
-    unknown.begin("fit")
-    assert unknown.left() is None and unknown.line() == "phase 1 of 1, 0 s in: fit"
+    run.detail("solving, 5 of 10 units", 0.5)
+    assert run.left() is None and run.line() == "phase 1 of 3, 30 s in: reading, solving, 5 of 10 units"
+    run.begin("drawing")
+    clock.now = 70
+    run.detail("drawing, 100 of 1,000 units", 0.1)
+    assert run.left() is None  # 40 s of compilation, perhaps
+    clock.now = 72
+    run.detail("drawing, 300 of 1,000 units", 0.3)
+    assert run.left() == pytest.approx(7)
+    assert run.line() == "phase 2 of 3, about 7 s left, 42 s in: drawing, drawing, 300 of 1,000 units"
+    run.begin("writing")
+    assert run.left() is None
+
+
+def test_programs_that_compile_are_counted():
+    programs = [Future() for _ in range(9)]
+    with progress.watched(progress.Phases(["searching"], io.StringIO(), clock=Clock())):
+        progress.begin("searching")
+        run = progress._WATCHED.get()
+        with progress.planned(11):  # of which two are not begun: this process has them
+            progress.compiling(programs[0])
+            assert run.line().endswith("searching, compiling 1 of 11 programs")
+            for program in programs[1:]:
+                progress.compiling(program)
+        assert run.line() == "phase 1 of 1, 0 s in: searching, compiling 1 of 9 programs"
+        for program in programs[3:7]:
+            program.set_result(None)
+        run.detail("compiling")
+        assert run.line().endswith("searching, compiling 5 of 9 programs")
+        for program in programs[:3] + programs[7:]:
+            program.set_exception(ValueError())
+        assert run.line().endswith("searching, compiling")  # no other program is known of
+    progress.compiling(programs[0])  # without a line, nothing
 
 
 @pytest.mark.parametrize("stream", [io.StringIO(), Terminal()])
@@ -101,7 +114,11 @@ def test_a_run_of_units_reports_its_part():
     with progress.watched(kept):
         progress.begin("drawing")
         tolerances.monte_carlo(lambda e: e["x"], one, samples=200, seed=0, chunk=100)
-    assert kept.details == [("compiling", 0.0), ("Monte Carlo 50 %", 0.5), ("Monte Carlo 100 %", 1.0)]
+    assert kept.details == [
+        ("compiling", 0.0),
+        ("Monte Carlo, 100 of 200 units", 0.5),
+        ("Monte Carlo, 200 of 200 units", 1.0),
+    ]
 
 
 def test_a_signal_whose_exception_is_lost_ends_the_next_step(monkeypatch):

@@ -12,6 +12,7 @@ import pytest
 import rvjax
 from rvjax import CycloidStage, InvoluteStage, RVErrors, catalogue
 from rvjax.records import Record, promote
+from rvjax.tolerances import Tolerance
 from rvjax.units import deg, mm, um
 
 RV_40E = catalogue.RV_40E
@@ -26,6 +27,15 @@ def test_counts_are_static_and_numbers_are_traced():
     assert float(compiled(RV_40E)) == pytest.approx(52 * mm)
     compiled(RV_40E.replace(cycloid=RV_40E.cycloid.replace(eccentricity=1.2 * mm)))
     assert compiled._cache_size() == 1
+
+
+def test_records_are_arguments_and_results_of_programs_that_are_written():
+    """Counts, texts and None come back as they were."""
+    given = catalogue.RV_320E, RVErrors.for_design(catalogue.RV_320E), Tolerance.symmetric(3 * um)
+    read = jax.export.deserialize(jax.export.export(jax.jit(lambda x: x))(given).serialize())
+    found = read.call(given)
+    assert jax.tree.structure(found) == jax.tree.structure(given)
+    jax.tree.map(np.testing.assert_array_equal, found, given)
 
 
 def test_docstring_tells_unit_shape_and_meaning_of_every_field():

@@ -63,6 +63,13 @@ def test_the_page_carries_numbers_of_its_own(answered):
     assert fields["shift_modification"]["moving"] == {"given": 0.0, "scale": pytest.approx(0.01)}
     for p in numbers["parameters"]:
         assert p["low"] <= min(p["centre"], p["own"]) <= max(p["centre"], p["own"]) <= p["high"]
+    (response,) = numbers["responses"]
+    assert response["floor"] is None and made.base["lost_motion"].min() < 0
+    raised = dataclasses.replace(made, base={"lost_motion": np.abs(made.base["lost_motion"])})
+    assert live.data(raised, found)["responses"][0]["floor"] is None  # its lower limit is below zero
+    above = dataclasses.replace(found.study, requirements={"lost_motion": rvjax.tolerances.Requirement(upper=1.0)})
+    (response,) = live.data(raised, dataclasses.replace(found, study=above))["responses"]
+    assert response["floor"] == 0.0
     name = "shift_modification"
     where = numbers["parameters"][fields[name]["place"]]
     assert (where["low"], where["high"]) == pytest.approx((-6, 6))

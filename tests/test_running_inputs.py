@@ -26,6 +26,7 @@ def of_drive(friction, design=DRIVE):
     return losses(design, DRIVE_ERRORS, friction)
 
 
+SPEED, RISING = np.array([1.0, 2, 3, 4]), np.array([1.0, 1.25, 1.5, 2.5])
 REFUSED = {
     "RVReducer.friction must be one": lambda: losses(friction=None),
     "RVReducer.bearings = None: Friction.arm_bearings": lambda: losses(RV.replace(bearings=None)),
@@ -53,6 +54,18 @@ REFUSED = {
     "speed: 3 points, must be at least 4": lambda: running.fit_drag(np.array([1.0, 2, -1]), np.ones(3)),
     "speed: one direction only": lambda: running.fit_drag(np.array([1.0, 2, 3, 0]), np.ones(4)),
     "speed: 2 rad/s in every point": lambda: running.fit_drag(np.array([2.0, 2, -2, -2]), np.ones(4)),
+    "speed[2] = 0 rad/s: a point at rest": lambda: running.fit_drag([1.0, 2, 0, -1, -2], [1.0, 2, 0.1, -1, -2]),
+    "torque[3] = 2.1 N m at -2 rad/s (mean of this direction 1.8 N m): a torque that keeps": lambda: running.fit_drag(
+        [1.0, 2, -1, -2], [1.5, 2.1, 1.5, 2.1]
+    ),
+    "torque[3] = -2 N m at 4 rad/s (mean": lambda: running.fit_drag(
+        np.r_[SPEED, -SPEED], np.r_[1, 1.25, 1.5, -2, -1, -1.25, -1.5, -2]
+    ),
+    "at 4 rad/s (mean of this direction -1.5625 N m)": lambda: running.fit_drag(
+        np.r_[SPEED, -SPEED], -np.r_[RISING, -RISING]
+    ),
+    "coulomb = -1.": lambda: running.fit_drag(np.r_[SPEED, -SPEED], np.r_[SPEED**2, -(SPEED**2)] / 4),
+    "viscous = -0.475": lambda: running.fit_drag(np.r_[SPEED, -SPEED], np.r_[RISING[::-1], -RISING[::-1]]),
 }
 
 
@@ -93,6 +106,23 @@ def test_standard_deviations_are_those_of_least_squares():
     fit = running.fit_drag(speed, torque)
     found = fit.coulomb, fit.viscous, fit.offset, fit.coulomb_sd, fit.viscous_sd, fit.residual_sd
     np.testing.assert_allclose(found, [*due, *sds[:2], sd], rtol=1e-11)
+
+
+def test_drag_that_bends_with_the_speed_says_so():
+    """Stribeck friction; a straight line with the same scatter has no warning."""
+    speed, rng = np.linspace(0.05, 5, 40), np.random.default_rng(0)
+    both = np.r_[speed, -speed]
+    film = np.sign(both) * (0.8 + 0.4 * np.exp(-np.abs(both) / 0.2)) + 0.25 * both
+    with pytest.warns(UserWarning, match=r"bends about the fit by 0\.0\d+ N m rms"):
+        running.fit_drag(both, film + 0.01 * rng.standard_normal(80))
+    running.fit_drag(both, 0.8 * np.sign(both) + 0.25 * both + 0.01 * rng.standard_normal(80))
+
+
+def test_a_traced_point_at_rest_does_not_count():
+    speed, torque = ramps(np.random.default_rng(5), 6)
+    due = running.fit_drag(speed, torque)
+    found = jax.jit(running.fit_drag)(np.append(speed, 0.0), np.append(torque, 7.0))
+    np.testing.assert_allclose(jax.tree.leaves(found), jax.tree.leaves(due), rtol=1e-12)
 
 
 def test_a_bad_point_gives_no_drag():

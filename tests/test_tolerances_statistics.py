@@ -39,6 +39,21 @@ def test_moments_merge_like_one_block():
     assert whole.s3 / 5000 == pytest.approx(stats.moment(values, 3))
 
 
+@pytest.mark.parametrize("size", [1e60, 1e100, 1e150])
+def test_powers_that_no_number_holds_end_no_statistic(size):
+    """The sixth power of 1e60 is infinite; interval and error are then those of a normal distribution."""
+    x = np.random.default_rng(0).standard_normal(4000)
+    due, found = (CentralMoments.of(s * x[:9]).merge(CentralMoments.of(s * x[9:])) for s in (1.0, size))
+    for one, other in (
+        (due.sd_estimate(0.95), found.sd_estimate(0.95)),
+        (due.mean_estimate(0.95), found.mean_estimate(0.95)),
+    ):
+        np.testing.assert_allclose([other.value / size, other.error / size], [one.value, one.error], rtol=0.05)
+        np.testing.assert_allclose(
+            [other.lower / size, other.upper / size], [one.lower, one.upper], rtol=0.05, atol=1e-3
+        )
+
+
 def test_tails_beyond_the_histogram_are_counted_apart():
     order = Order()
     order.add(np.random.default_rng(0).uniform(size=4096))

@@ -8,11 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rvjax._ground.encoding import text_of
 from rvjax.units import KNOWN, recognised
 
 DELIMITERS = ";\t,|"
 MARKS = ("#", "%", "//", ";", "!", "*")  # of a comment
 SHOWN = 12  # texts in a message
+COLUMNS = 10_000  # of a table
 SEARCHED = 200  # lines in which the header may be
 Row = tuple[int, list[str]]
 """Line of the file, cells."""
@@ -57,9 +59,22 @@ class _Mode:
         if self.spaced:
             return _spaced(lines[0], self.delimiter, names=True)
         try:
-            return next(self._reader(f"{line}\n" for line in lines[:5]), [])
+            return self.names(next(self._reader(f"{line}\n" for line in lines[:5]), []))
         except csv.Error:
             return []
+
+    def names(self, cells: Sequence[str]) -> list[str]:
+        """Cells of a header: one such as "disc_bore[0,1] [um]" without quotes is a single one."""
+        found, k = list[str](), 0
+        while k < len(cells):
+            end, opened = k, _open(cells[k])
+            while opened > 0 and end + 1 < len(cells):
+                end += 1
+                opened += _open(cells[end])
+            end = end if opened == 0 and end - k + 1 < len(cells) else k
+            found.append(self.delimiter.join(cells[k : end + 1]))
+            k = end + 1
+        return found
 
     def fits(self, cells: Sequence[str], below: Sequence[str]) -> bool:
         """True if a line below a header has as many cells, one of them a number."""
@@ -76,6 +91,11 @@ class _Mode:
 
     def _reader(self, lines: Iterator[str]) -> Any:
         return csv.reader(lines, delimiter=self.delimiter, strict=True, skipinitialspace=self.skip)
+
+
+def _open(text: str) -> int:
+    """Brackets that open less those that close."""
+    return sum((char in "([{") - (char in ")]}") for char in narrow(text))
 
 
 def narrow(text: str) -> str:
@@ -104,6 +124,7 @@ def read_cells(
     *,
     short: bool = False,
     named: Callable[[str], int] = lambda cell: 0,
+    encoding: str | None = None,
 ) -> Cells:
     """Header and rows of a table, with any separator of the cells.
 
@@ -114,14 +135,19 @@ def read_cells(
         example: of a header, for the message.
         short: rows may lack their last cells, which are empty.
         named: how certainly a cell is the header of a column that is wanted; 0 if it is none.
+        encoding: of the file, such as "cp932"; None: UTF-8, UTF-16 or a guess.
 
     Raises:
         ValueError: no table.
         FileNotFoundError: there is no such file.
     """
-    text, notes = _text(Path(path))
+    text, notes = text_of(Path(path), encoding)
     lines = text.rstrip("\x1a").replace("\r\n", "\n").replace("\r", "\n").removesuffix("\n").split("\n")
     filled = [k for k, line in enumerate(lines) if line.strip()]
+    first = [lines[k] for k in filled[:SEARCHED]]
+    widest = max((max(map(line.count, DELIMITERS)) or len(line.split()) - 1 for line in first), default=0)
+    if widest >= COLUMNS:
+        raise ValueError(f"{path}: {widest + 1} columns, at most {COLUMNS}; a table has a row for each reading")
     if not filled or "\0" in text:
         raise ValueError(f'{path}: no table; the first line must name the columns, such as "{example}"')
     at, head, modes = _header(lines, filled, named)
@@ -157,34 +183,6 @@ def read_cells(
         return Cells(header, body, mode.delimiter != ",", tuple(notes))
     assert failure is not None
     raise failure
-
-
-def _text(path: Path) -> tuple[str, list[str]]:
-    """Content of a file, and how it was decoded if it is not UTF-8."""
-    try:
-        content = path.read_bytes()
-        if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
-            return content.decode("utf-16"), []
-        head = content[:400]
-        if b"\0\0" not in head and 5 * head.count(0) >= 2 * len(head) > 4:  # UTF-16: about every second byte is 0
-            return content.decode("utf-16-be" if head[0] == 0 else "utf-16-le"), []
-        return content.decode("utf-8-sig"), []
-    except FileNotFoundError:
-        raise FileNotFoundError(f"{path}: no such data file") from None
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be read as text ({error}); save it as UTF-8") from None
-    except UnicodeDecodeError as error:
-        if content[:2] == b"PK" or re.search(rb"[\0-\x08\x0e-\x19\x1b-\x1f]", content):
-            hint = "; save the sheet of a workbook as CSV" if content[:2] == b"PK" else ""
-            raise ValueError(f"{path}: cannot be read as text ({error}); save it as UTF-8{hint}") from None
-    # GB 2312 has pairs of high bytes; a degree sign of Windows is one between ASCII.
-    pairs = all(len(run) % 2 == 0 and min(run) > 0xA0 for run in re.findall(rb"[\x80-\xff]+", content))
-    for encoding in ("gb18030", "cp1252") if pairs else ("cp1252", "gb18030"):
-        try:
-            return content.decode(encoding), [f"the file is not UTF-8; it is read as {encoding}"]
-        except UnicodeDecodeError:
-            continue
-    return content.decode("latin-1"), ["the file is not UTF-8; it is read as latin-1"]
 
 
 def _header(lines: Sequence[str], filled: Sequence[int], named: Callable[[str], int]) -> tuple[int, str, list[_Mode]]:
@@ -257,7 +255,7 @@ def _fitted(path: str | Path, mode: _Mode, lines: Sequence[str], short: bool) ->
     except csv.Error as error:
         raise ValueError(f"{path}: not a table of cells between {mode.delimiter!r} ({error})") from None
     first = next(line for line in lines if line.strip())
-    header = [name.strip() for name in (mode.header([first]) if mode.spaced else cells[0][1])]
+    header = [name.strip() for name in (mode.header([first]) if mode.spaced else mode.names(cells[0][1]))]
     body, comments = [], list[str]()
     ends = 1 + max((k for k, (_, row) in enumerate(cells) if len(row) == len(header)), default=0)
     for k, (number, row) in enumerate(cells[1:], 1):

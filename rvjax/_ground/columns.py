@@ -1,6 +1,7 @@
 """Columns of a measured table: which column is which quantity, in which unit, read to SI."""
 
 import difflib
+import functools
 import json
 import math
 import re
@@ -12,13 +13,14 @@ import numpy as np
 
 from rvjax._ground.cells import MARKS, UNITS, Row, listed, narrow, read_cells
 from rvjax._ground.choices import unknown
+from rvjax._ground.encoding import guessed
 from rvjax._ground.numbers import grouping_of, has_decimal_comma, last_digit, number_of
-from rvjax.units import recognised, spelling
+from rvjax.units import intended, recognised, spelling
 
 Units = Mapping[str, Mapping[str, float]]
 """By quantity: what it may be written in, with its size in SI."""
 
-_AMBIGUOUS = {"grad": "", "grads": "", "grade": ""}  # degree in German, gon elsewhere: no unit is near
+_OF_ARC = {"sec": "arcsec", "min": "arcmin"}  # of time, or of an angle
 _BETWEEN = r"\s*(?:[_/,:;.|-]|\s+in\s+|\s)\s*"  # a name and its unit
 
 
@@ -66,6 +68,7 @@ def read_table(
     enough: Iterable[Collection[str]] = (),
     at: Mapping[str, int] | None = None,
     named: Callable[[str], bool] = lambda header: False,
+    encoding: str | None = None,
 ) -> Table:
     """A table from a text file. Commas, semicolons, tabs or spaces separate cells; decimal commas if no comma does.
 
@@ -78,6 +81,7 @@ def read_table(
         enough: sets of quantities; if the plain headers have one of them, other spellings are not read.
         at: {quantity: number of its column}, where the caller has chosen it.
         named: further names by which the line of the header is found.
+        encoding: of the file, such as "cp932"; None: UTF-8, UTF-16 or a guess.
 
     Raises:
         ValueError: one line that names the file, the column or the row, its value and the unit.
@@ -96,8 +100,11 @@ def read_table(
             return 0
         return 2 if unit and recognised(unit, UNITS) else 1
 
-    cells = read_cells(path, named=known)
-    places, notes = _places(source, cells.header, columns, units, words, [*map(set, enough)], at or {})
+    cells = read_cells(path, named=known, encoding=encoding)
+    try:
+        places, notes = _places(source, cells.header, columns, units, words, [*map(set, enough)], at or {})
+    except ValueError as error:
+        raise ValueError("; ".join([str(error), *guessed(cells.notes)])) from None
     if any(place.column == 0 and name in units for name, place in places.items()):
         body: list[Row] = [(k, row) for k, row in cells.body if not row[0].lstrip().startswith(MARKS)]
         if marked := [str(k) for k, row in cells.body if row[0].lstrip().startswith(MARKS)]:
@@ -151,11 +158,14 @@ def mapping(
     inside = [key for key in keys if name in key]
     fits = [key for key, text in zip(keys, free) if recognised(name_and_unit(text)[1] or "?", units)]
     column = free[keys.index([*near, *inside, *fits, *keys][0])]
-    unit = recognised(name_and_unit(column)[1] or "?", [*units, *(["count"] if "turn" in units else [])])
-    return column, _line(name, column, unit or next(iter(units)))
+    said = name_and_unit(column)[1]
+    unit = recognised(said, [*units, *(["count"] if "turn" in units else [])]) if said else next(iter(units))
+    return column, _line(name, column, unit)
 
 
-def _line(name: str, column: str, unit: str) -> str:
+def _line(name: str, column: str, unit: str | None) -> str:
+    if unit is None:  # of the header, unknown: another one has another size
+        return f"{name} = {json.dumps(column, ensure_ascii=False)}"
     counts = ", counts_per_turn = 524288" if unit == "count" else ""
     return f'{name} = {{ column = {json.dumps(column, ensure_ascii=False)}, unit = "{unit}"{counts} }}'
 
@@ -186,7 +196,7 @@ def _places(
         name, unit = split(text)
         if k in foreign:
             name, given = foreign[k]
-            unit = str(given["unit"]) if "unit" in given else name_and_unit(text)[1]
+            unit = _unit_of(f"{source}: column {text!r}", text, name, given.get("unit"), units)
             unit = "count" if unit is None and "counts_per_turn" in given else unit
             found[name] = _placed(source, header, k, name, unit, units, given.get("counts_per_turn"))
         elif (name := name.lower()) not in wanted:
@@ -231,6 +241,15 @@ def _given(name: str, about: object) -> dict[str, object]:
     return dict(given)
 
 
+def _unit_of(where: str, header: str, name: str, given: object, units: Units) -> str | None:
+    """Unit that [columns] gives, else that of the header; both only with the same size."""
+    said, own = name_and_unit(header)[1], units.get(name, {})
+    one, other = (recognised(str(unit or ""), own) for unit in (said, given))
+    if one and other and own[one] != own[other]:
+        raise ValueError(f"{where}: columns.{name}.unit = {given!r}: the header says {said!r}; remove one of the two")
+    return said if given is None else str(given)
+
+
 def _matching(source: str, name: str, column: str, header: Sequence[str]) -> int:
     """Number of the column that [columns] names: as written, else with other capitals, spaces or brackets."""
     matches = [k for k, text in enumerate(header) if column in (text, split(text)[0])]
@@ -263,16 +282,18 @@ def _placed(
             return _Place(k, "count", turn / float(counts), False)
         need = f"unit {unit!r} needs the counts per turn"
         raise ValueError(f"{source}: column {text!r}: {need}; write in [columns]: {_line(name, text, 'count')}")
-    wrong = "has no unit" if not unit else f"unit {unit!r} is not known"
-    near = difflib.get_close_matches(_AMBIGUOUS.get((unit or "").casefold(), unit or ""), own, 1)
-    wrong += f" (did you mean {near[0]}?)" if near else ""
-    example, line = next(iter(own)), _line(name, text, near[0] if near else next(iter(own)))
-    raise ValueError(
-        f'{source}: column {text!r}: {wrong}; write "{name} [{example}]" ({", ".join(own)}), or in [columns]: {line}; '
-        f"the file has the columns {listed(header)}"
-    )
+    near = intended(unit or "", own) or _OF_ARC.get((unit or "").casefold())
+    near = near if near in own else None
+    wrong = f"unit {unit!r} is not known" if unit else "has no unit"
+    wrong += f" (did you mean {near}?)" if near else ""
+    under = f'"{name} [{next(iter(own))}]" ({", ".join(own)})'
+    write = f"write {under}, or in [columns]: {_line(name, text, near or next(iter(own)))}"
+    if unit and not near:  # its size is not known
+        write = f"write the numbers in another one, under {under}; if it is no unit, give theirs in [columns]"
+    raise ValueError(f"{source}: column {text!r}: {wrong}; {write}; the file has the columns {listed(header)}")
 
 
+@functools.lru_cache(4096)
 def _key(text: str) -> str:
     """A name without capitals; spaces, underscores and hyphens are alike."""
     return re.sub(r"[\s_-]+", "_", narrow(text).strip(" _,:/-").casefold())
@@ -293,11 +314,13 @@ def loosely(header: str, units: Units, words: Iterable[str] = ()) -> tuple[str, 
         words: columns of text that are wanted; they have no unit.
     """
     head, unit = name_and_unit(header)
+    key, text = _key(head), narrow(header).strip()
     for name in [*units, *words]:
-        if _key(head) == _key(name):
+        if key == _key(name):
             return (name, unit) if unit is None or recognised(unit, UNITS) else None
-    text = narrow(header).strip()
     for name, own in units.items():
+        if not text.casefold().startswith(name.split("_")[0].casefold()):
+            continue
         start = r"[\s_-]+".join(map(re.escape, name.split("_")))
         for pattern in (rf"{start}{_BETWEEN}(.+)", rf"{start}\s*([°º′″'\"].*)"):
             match = re.fullmatch(pattern, text, re.IGNORECASE)

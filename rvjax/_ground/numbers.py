@@ -5,6 +5,8 @@ import re
 from collections.abc import Sequence
 from decimal import Decimal
 
+from rvjax.units import with_unit
+
 LARGEST, SMALLEST = 1e12, 1e-100  # in any unit: beyond every size of a part, below every rounding error of a zero
 _GROUPS = {
     mark: rf"[-+]?\d{{1,3}}(?:{re.escape(mark)}\d{{3}})+(?:{re.escape(point)}\d*)?" for mark, point in (",.", ".,")
@@ -71,14 +73,16 @@ def number_of(
             value = float(text := _usual(cell, comma, grouping))
         except ValueError:
             hint = "; is its comma decimal? write a point, or no separator" if re.fullmatch(_GROUPS[","], text) else ""
+            hint = "; save the values, not the formulas" if text.startswith("=") else hint
             raise ValueError(f"{where}: must be a number in {unit}{hint}") from None
     digits = re.search("[1-9]", text.partition("e")[0])
     if math.isnan(value) or (math.isinf(value) and not digits):
         raise ValueError(f"{where}: must be finite, in {unit}; leave the cell empty if nothing was measured")
     if abs(value) > LARGEST:
-        raise ValueError(f"{where}: too large, must be at most {LARGEST:g} {unit}; correct the number")
+        raise ValueError(f"{where}: too large, must be at most {with_unit(LARGEST, unit, 'g')}; correct the number")
     if digits and abs(value) < SMALLEST:  # also one that is 0 in double precision
-        raise ValueError(f"{where}: too small, must be 0 or at least {SMALLEST:g} {unit}; correct the number")
+        least = with_unit(SMALLEST, unit, "g")
+        raise ValueError(f"{where}: too small, must be 0 or at least {least}; correct the number")
     return value
 
 

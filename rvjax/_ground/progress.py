@@ -1,6 +1,9 @@
-"""Progress of a run of the command line: one line with its phase, its time so far and the estimated rest.
+"""Progress of a run of the command line: one line with its phase, its time so far, and what is counted.
 
-Computations call `begin` and `detail`. Outside `shown` both do nothing.
+Counted are programs that compile in other threads, and units of those that are planned. Only the rest of the counted
+phase is estimated: the time of compilation and the number of steps of a search are not known.
+
+Computations call `begin`, `compiling` and `detail`. Outside `shown` they do nothing.
 """
 
 import contextlib
@@ -9,11 +12,12 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future
 from contextvars import ContextVar
 from typing import Any, TextIO
 
-OVERRUN = 0.2  # of the time of a phase so far: the rest of a phase beyond its expected time
+COMPILING = "compiling"
 
 
 class Phases:
@@ -21,44 +25,43 @@ class Phases:
 
     def __init__(
         self,
-        expected: Mapping[str, float],
+        names: Iterable[str],
         stream: TextIO,
         counted: str = "",
         *,
         clock: Callable[[], float] = time.monotonic,
         tick: float = 0.5,
-        trusted: float = 15.0,
         first: float = 4.0,
         again: float = 20.0,
     ) -> None:
         """Prepare the line; no phase has begun.
 
         Args:
-            expected: seconds of each phase, in their order, on some computer; only their ratios count later.
+            names: of the phases, in their order.
             stream: where the line goes.
-            counted: the phase whose details contain the finished part of it.
+            counted: the phase whose details contain the finished part of the run.
             clock: s, of the run.
             tick: s between two updates on a terminal.
-            trusted: s of expected time before the pace counts: a phase of a second does not show it.
             first: s until a file or pipe gets the line of a phase; bad input ends earlier and stays one line.
             again: s until it gets the line of the same phase again.
         """
-        self.expected, self.stream, self.counted = dict(expected), stream, counted
-        self.clock, self.tick, self.trusted, self.first, self.again = clock, tick, trusted, first, again
-        self.names = list(expected)
+        self.stream, self.counted = stream, counted
+        self.clock, self.tick, self.first, self.again = clock, tick, first, again
+        self.names = list(names)
         self.terminal = stream.isatty()
-        self.spent: dict[str, float] = {}
+        self.programs: list[Future[Any]] = []
+        self.coming = 0  # programs that are planned, and not begun
         self.name, self.since, self.said, self.note, self.part = "", self.clock(), 0.0, "", 0.0
+        self.moving: tuple[float, float] | None = None  # time and part when the first units were done
         self._lock, self._over = threading.Lock(), threading.Event()
         self._watch = threading.Thread(target=self._tick, daemon=True)
 
     def begin(self, name: str) -> None:
-        """Begin a phase and end the one before; a name that is not expected is a detail of the current phase."""
-        if name not in self.expected:
+        """Begin a phase and end the one before; a name of no phase is a detail of the current one."""
+        if name not in self.names:
             return self.detail(name)
         with self._lock:
-            self._end()
-            self.name, self.since, self.note, self.part = name, self.clock(), "", 0.0
+            self.name, self.since, self.note, self.part, self.moving = name, self.clock(), "", 0.0, None
             self.said = self.since - self.again + self.first
             if self.terminal:
                 self._show()
@@ -66,31 +69,29 @@ class Phases:
     def detail(self, note: str, part: float = 0.0) -> None:
         """Note the current work, such as "certifying 40 %", for the next update; `part` of the phase is done."""
         self.note, self.part = note, part
+        if part > 0 and self.moving is None:
+            self.moving = self.clock(), part
 
     def left(self) -> float | None:
-        """Seconds until the end: the expected rest at the pace so far; None without expected times."""
-        done = sum(self.expected[name] for name in self.spent)
-        here, now = self.expected.get(self.name, 0.0), self.clock() - self.since
-        if self.name == self.counted and self.part > 0.01:
-            return now * (1 / self.part - 1)
-        if not any(self.expected.values()):
+        """Seconds until the end at the pace of the units since the first; None where it is not known."""
+        if self.name != self.counted or self.moving is None or not self.part > self.moving[1]:
             return None
-        pace = (sum(self.spent.values()) + self.trusted) / (done + self.trusted)
-        rest = sum(seconds for name, seconds in self.expected.items() if name not in self.spent and name != self.name)
-        # A phase that takes longer than expected lengthens the estimate of the rest, and has a share of its time to go.
-        return max(pace * here - now, OVERRUN * now) + max(pace, now / here if here else 0.0) * rest
+        (begun, part), now = self.moving, self.clock()
+        return (now - begun) * (1 - self.part) / (self.part - part)
 
     def line(self) -> str:
         """Current text of the line."""
         number = self.names.index(self.name) + 1
-        note = f", {self.note}" if self.note else ""
+        programs = self._compiling()
+        note = "" if programs and self.note == COMPILING else self.note
+        notes = filter(None, [self.name, note, *programs])
         left, taken = self.left(), spelled(self.clock() - self.since)
         rest = "" if left is None else f"about {spelled(left)} left, "
-        return f"phase {number} of {len(self.names)}, {rest}{taken} in: {self.name}{note}"
+        return f"phase {number} of {len(self.names)}, {rest}{taken} in: {', '.join(notes)}"
 
-    def _end(self) -> None:
-        if self.name:
-            self.spent[self.name] = self.clock() - self.since
+    def _compiling(self) -> list[str]:
+        done, count = sum(program.done() for program in self.programs), len(self.programs) + self.coming
+        return [f"{COMPILING} {done + 1} of {count} programs"] if done < count else []
 
     @contextlib.contextmanager
     def aside(self) -> Iterator[None]:
@@ -131,7 +132,6 @@ class Phases:
     def __exit__(self, *_: object) -> None:
         self._over.set()
         self._watch.join()
-        self._end()
         self._wipe()
 
 
@@ -139,18 +139,18 @@ _WATCHED: ContextVar[Phases | None] = ContextVar("watched", default=None)
 
 
 @contextlib.contextmanager
-def shown(expected: Mapping[str, float], *, counted: str = "", quiet: bool = False) -> Iterator[None]:
+def shown(names: Iterable[str], *, counted: str = "", quiet: bool = False) -> Iterator[None]:
     """Show the phases of what runs inside, on standard error.
 
     Args:
-        expected: seconds of each phase, in their order; 0 throughout where unknown.
-        counted: the phase whose details say how much of it is done.
+        names: of the phases, in their order.
+        counted: the phase whose details say how much of the run is done.
         quiet: show nothing.
     """
     if quiet:
         yield
         return
-    with watched(Phases(expected, sys.stderr, counted)):
+    with watched(Phases(names, sys.stderr, counted)):
         yield
 
 
@@ -166,9 +166,30 @@ def watched(phases: Phases) -> Iterator[None]:
 
 
 def begin(name: str) -> None:
-    """Begin a phase. A name that is not expected is a detail of the current phase."""
+    """Begin a phase. A name of no phase is a detail of the current one."""
     if (phases := _WATCHED.get()) is not None:
         phases.begin(name)
+
+
+def compiling(program: Future[Any]) -> None:
+    """Count a program that another thread compiles."""
+    if (phases := _WATCHED.get()) is not None:
+        phases.programs.append(program)
+        phases.coming = max(phases.coming - 1, 0)
+
+
+@contextlib.contextmanager
+def planned(programs: int) -> Iterator[None]:
+    """Count programs that what runs inside begins, from the start on; those that it does not begin until the end."""
+    phases = _WATCHED.get()
+    if phases is None:
+        yield
+        return
+    phases.coming = programs
+    try:
+        yield
+    finally:
+        phases.coming = 0
 
 
 def detail(note: str, part: float = 0.0) -> bool:
@@ -227,14 +248,14 @@ def progress_bar(shown: bool, total: int | None, description: str, unit: str, *,
         unit: of the work.
         initial: done already.
     """
-    if detail("compiling"):
+    if detail(COMPILING):
         done = initial
 
         def tell(count: int) -> None:
             nonlocal done
             done += count
-            part = 0.0 if total is None else done / max(total, 1)
-            detail(f"{description}, {done} {unit}s" if total is None else f"{description} {100 * part:.0f} %", part)
+            planned = "" if total is None else f" of {total:,}"
+            detail(f"{description}, {done:,}{planned} {unit}s", 0.0 if total is None else done / max(total, 1))
 
         yield tell
         return
@@ -243,7 +264,7 @@ def progress_bar(shown: bool, total: int | None, description: str, unit: str, *,
         return
     from tqdm import tqdm
 
-    with tqdm(total=total, unit=unit, unit_scale=True, desc="compiling", initial=initial) as bar:
+    with tqdm(total=total, unit=unit, unit_scale=True, desc=COMPILING, initial=initial) as bar:
 
         def advance(count: int) -> None:
             if not bar.desc.startswith(description):

@@ -10,7 +10,7 @@ import numpy as np
 from jax.extend.core import Primitive
 from jax.interpreters import batching, mlir
 
-from rvjax._jax import blocks
+from rvjax._jax import blocks, varying
 from rvjax.records import PyTree
 
 Result = TypeVar("Result")
@@ -40,7 +40,7 @@ class TracedLate:
 
     def __call__(self, *arguments: PyTree) -> PyTree:
         """The results."""
-        leaves, tree = jax.tree.flatten(arguments)
+        leaves, tree = jax.tree.flatten(varying.like(arguments))
         found = _traced_late.bind(*leaves, late=self, tree=tree)
         return jax.tree.unflatten(jax.tree.structure(self._shapes(*arguments)), found)
 
@@ -59,14 +59,20 @@ def _computed(*leaves: Any, late: TracedLate, tree: Any) -> list[jax.Array]:
     return _traced_late.bind(*leaves, late=late, tree=tree)
 
 
-def _lowered(platform: str) -> Callable[..., list[jax.Array]]:
-    """The function, as it is lowered for a platform."""
+def _lowered(platform: str) -> Callable[..., Any]:
+    """The rule that lowers the function for a platform."""
 
     def computed(*leaves: Any, late: TracedLate, tree: Any) -> list[jax.Array]:
         with blocks.lowering(platform):
             return late.flat(*leaves, tree=tree)
 
-    return computed
+    lower = mlir.lower_fun(computed, multiple_results=True)
+
+    def rule(ctx: Any, *leaves: Any, **parameters: Any) -> Any:
+        with varying.unchecked():
+            return lower(ctx.replace(avals_in=[*map(varying.unvarying, ctx.avals_in)]), *leaves, **parameters)
+
+    return rule
 
 
 def _batched(leaves: Any, axes: Any, *, late: TracedLate, tree: Any) -> tuple[list[jax.Array], list[int]]:
@@ -81,8 +87,8 @@ def _batched(leaves: Any, axes: Any, *, late: TracedLate, tree: Any) -> tuple[li
 _traced_late.def_impl(_computed)
 _traced_late.def_abstract_eval(lambda *leaves, late, tree: late.types(*leaves, tree=tree))
 batching.primitive_batchers[_traced_late] = _batched
-mlir.register_lowering(_traced_late, mlir.lower_fun(_lowered(blocks.GPU), multiple_results=True))
-mlir.register_lowering(_traced_late, mlir.lower_fun(_lowered(blocks.CPU), multiple_results=True), platform=blocks.CPU)
+mlir.register_lowering(_traced_late, _lowered(blocks.GPU))
+mlir.register_lowering(_traced_late, _lowered(blocks.CPU), platform=blocks.CPU)
 
 
 def along_lanes(function: Callable[..., Result]) -> Callable[..., Result]:

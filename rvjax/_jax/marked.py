@@ -1,11 +1,16 @@
-"""A function in the place of its jaxpr: what `roots.solved` marks is read, or given and not computed again."""
+"""A function in the place of its jaxpr: what `roots.solved` marks is read, or given and not computed again.
 
-from collections.abc import Callable
+And what the jaxpr of its derivatives reads.
+"""
+
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
+from jax.interpreters import partial_eval
 
 from rvjax.records import PyTree
 
@@ -52,6 +57,19 @@ class Marked(NamedTuple):
             return part.reshape(kind.shape).astype(kind.dtype)
 
         return jax.tree.unflatten(self.tree, _evaluated(self.jaxpr, jax.tree.leaves(arguments), taken, given=True))
+
+
+def moving(function: Callable[[PyTree], PyTree], numbers: Mapping[str, float]) -> set[str]:
+    """Names of the numbers that move a result: those that the program of its derivatives reads.
+
+    Args:
+        function: of the numbers by name, to real numbers.
+        numbers: where it can be traced.
+    """
+    given = {name: jnp.asarray(float(numbers[name])) for name in sorted(numbers)}
+    closed = jax.make_jaxpr(lambda at, change: jax.jvp(function, (at,), (change,))[1])(given, given)
+    _, read = partial_eval.dce_jaxpr(closed.jaxpr, [True] * len(closed.jaxpr.outvars))
+    return {name for name, own in zip(given, read[len(given) :]) if own}
 
 
 def _evaluated(

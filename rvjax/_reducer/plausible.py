@@ -14,9 +14,10 @@ import numpy as np
 
 from rvjax import catalogue
 from rvjax._jax import arguments
+from rvjax._jax.compile_cache import ONCE, quick
 from rvjax._reducer import flank
 from rvjax.records import PyTree, Scalar, concrete
-from rvjax.units import rpm, suited
+from rvjax.units import rpm, suited, with_unit
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -105,6 +106,34 @@ def steep(design: PyTree) -> list[str]:
     return [f"cycloid.profile_modification: {found}; the models are of first order, up to a slope of {flank.STEEPEST}"]
 
 
+@quick(options=ONCE)  # one program instead of one for each operation
+def _room(cycloid: PyTree) -> jax.Array:
+    return flank.Ground.of(cycloid).least_convex(cycloid.pin_count)
+
+
+def sharp_from(cycloid: PyTree) -> float:
+    """Pin radius from which on the flank of a disc with these modifications is undercut, m; <= 0: with all pins.
+
+    Args:
+        cycloid: numbers, not traced.
+    """
+    return float(cycloid.pin_radius) + float(_room(cycloid))
+
+
+def undercut(design: PyTree) -> list[str]:
+    """A line for pins that cut into the flank of the discs, else nothing.
+
+    Args:
+        design: numbers, not traced.
+    """
+    cycloid = getattr(design, "cycloid", None)
+    if cycloid is None or cycloid.pin_radius < (least := sharp_from(cycloid)):
+        return []
+    limit = f"from {shown(least, 'm')} on" if least > 0 else "of any radius"
+    found = f"pins {limit} cut into the flank of the discs (undercut)"
+    return [f"cycloid.pin_radius = {shown(cycloid.pin_radius, 'm')}: {found}"]
+
+
 @functools.cache
 def _spans() -> dict[type, dict[str, tuple[float, float]]]:
     """Smallest and largest value of each quantity in known reducers, by class of the design."""
@@ -167,7 +196,7 @@ def shown(value: Scalar, unit: str) -> str:
         unit: its SI unit.
     """
     name, size = ("r/min", rpm) if unit == "rad/s" else suited(float(value), unit)
-    return f"{float(value) / size:.4g} {name}" if unit != "-" else f"{float(value):.4g}"
+    return with_unit(float(value) / size, name)
 
 
 def _caller() -> int:

@@ -8,8 +8,8 @@ from rvjax.outputs import Output
 from rvjax.records import PyTree
 from rvjax.render import Quantity, Zone
 from rvjax.study import Study
-from rvjax.tolerances import Estimate, Influence, Limits, Statistics, Tolerance, Verdict, slopes_change_sign
-from rvjax.units import readable, rpm, suited
+from rvjax.tolerances import Allocation, Estimate, Influence, Limits, Statistics, Tolerance, Verdict, slopes_change_sign
+from rvjax.units import readable, rpm, suited, with_unit
 
 
 def limits_of(study: Study, field: str, tolerance: Tolerance) -> Zone:
@@ -36,7 +36,7 @@ def limit_text(requirement: Limits, output: Output) -> str:
     """
     unit, size = output.shown
     bounds = ((">=", requirement.lower), ("<=", requirement.upper))
-    return " and ".join(f"{sign} {limit / size:.4g} {unit}" for sign, limit in bounds if math.isfinite(limit))
+    return " and ".join(f"{sign} {with_unit(limit / size, unit)}" for sign, limit in bounds if math.isfinite(limit))
 
 
 def share(estimate: Estimate) -> Quantity:
@@ -130,6 +130,17 @@ def together_text(influence: Mapping[str, Influence]) -> str:
     return f"errors act together; before scaling the shares sum to: {said}." if said else ""
 
 
+def binding(found: Allocation, name: str) -> float:
+    """d cost / d limit of a response; 0 where its interval contains zero: the limit is not shown to bind.
+
+    Args:
+        found: the optimum.
+        name: of the response.
+    """
+    lower, upper = found.multiplier_intervals.get(name, (-math.inf, -math.inf))
+    return 0.0 if lower <= 0 <= upper else found.multipliers.get(name, 0.0)
+
+
 def price_text(study: Study, prices: Mapping[str, float]) -> str:
     """Text on the meaning of shadow prices, such as "100 h less life saves 0.98"; "" if no limit binds.
 
@@ -148,9 +159,9 @@ def price_text(study: Study, prices: Mapping[str, float]) -> str:
         step = 10.0 ** math.floor(math.log10(largest / 10)) if largest > 0 else 1.0
         saved = f"saves {-prices[name] * step * size:.3g}"
         if len(limited) > 1:
-            said.append(f"{step:g} {unit} wider limits of {requirement.prefix}{name} save{saved[5:]}")
+            said.append(f"{with_unit(step, unit, 'g')} wider limits of {requirement.prefix}{name} save{saved[5:]}")
         else:
-            said.append(f"{step:g} {unit} {next(iter(limited))} {requirement.prefix}{name} {saved}")
+            said.append(f"{with_unit(step, unit, 'g')} {next(iter(limited))} {requirement.prefix}{name} {saved}")
     return f"shadow price: {'; '.join(said)}." if said else ""
 
 

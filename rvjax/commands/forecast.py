@@ -8,6 +8,7 @@ from rvjax import levels
 from rvjax.commands.speak import say
 from rvjax.levels import Choice
 from rvjax.study import Study
+from rvjax.units import with_unit
 
 
 def choices(study: Study) -> dict[str, Choice]:
@@ -22,7 +23,7 @@ def level_lines(study: Study) -> list[str]:
     lines = []
     for name, choice in choices(study).items():
         unit, size = study.output(name).shown
-        error = "" if choice.bound is None else f"error < {choice.bound / size:.2g} {unit}; "
+        error = "" if choice.bound is None else f"error < {with_unit(choice.bound / size, unit, '.2g')}; "
         lines.append(f"{name}: {choice.level} ({error}{choice.why})")
     return lines
 

@@ -66,7 +66,7 @@ def run(name: str, options: argparse.Namespace) -> int:
     folder, quiet = getattr(inputs, "folder", None), getattr(inputs, "quiet", getattr(options, "quiet", True))
     as_json = options.format == "json" or getattr(options, "json", None) is True  # `--json` that names no file
     width = terminal_width()
-    phases = work.phases(inputs) if hasattr(work, "phases") else {}
+    phases = work.phases(inputs) if hasattr(work, "phases") else ()
     with progress.shown(phases, counted=getattr(work, "COUNTED", ""), quiet=quiet):
         progress.begin(READING)
         found = report(inputs, work.compute(inputs))

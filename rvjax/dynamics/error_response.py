@@ -21,6 +21,7 @@ from rvjax._ground.choices import choose
 from rvjax._jax.batching import folded
 from rvjax._jax.blocks import LINES
 from rvjax._jax.elementary import root
+from rvjax._jax.varying import fori_loop
 from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.error_balance import balance
@@ -110,7 +111,7 @@ def _of_units(of_block: Callable[[jax.Array], jax.Array]) -> Callable[[jax.Array
             return jax.lax.dynamic_update_slice_in_dim(found, of_block(square), start, axis=-1)
 
         found = jnp.zeros((rows.shape[0], rows.shape[3], units), columns.dtype)
-        return jnp.moveaxis(jax.lax.fori_loop(0, -(-units // block), step, found), -1, 0)
+        return jnp.moveaxis(fori_loop(0, -(-units // block), step, found), -1, 0)
 
     batched = jax.custom_batching.custom_vmap(function)
 

@@ -69,7 +69,15 @@ def wave_coefficients(lumped: Lumped, stage: str, harmonics: int) -> jax.Array:
     variation = lumped.mesh_variation
     swing, duty, ramp = (getattr(variation, f"{stage}_{name}") for name in ("swing", "duty", "ramp"))
     order = jnp.arange(1, harmonics + 1, dtype=swing.dtype)
-    return 2 * swing / (order * jnp.pi) * jnp.sin(order * jnp.pi * duty) * jnp.sinc(order * ramp)
+    return 2 * swing / (order * jnp.pi) * jnp.sin(order * jnp.pi * duty) * _sinc(order * ramp)
+
+
+def _sinc(x: jax.Array) -> jax.Array:
+    """sin(pi x) / (pi x), smooth at 0; JAX 0.12 cannot compute its own within `jax.shard_map`."""
+    square = jnp.square(jnp.pi * x)
+    near = square < 1e-4
+    angle = jnp.sqrt(jnp.where(near, 1, square))
+    return jnp.where(near, 1 - square / 6 * (1 - square / 20), jnp.sin(angle) / angle)
 
 
 def phases(lumped: Lumped, stage: str, harmonics: np.ndarray) -> np.ndarray:

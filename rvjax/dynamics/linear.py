@@ -8,6 +8,7 @@ through the elimination here.
 import jax
 import jax.numpy as jnp
 
+from rvjax._jax.varying import fori_loop
 from rvjax.records import PyTree, Scalar
 
 
@@ -53,5 +54,5 @@ def eliminate(matrix: jax.Array, rhs: jax.Array) -> tuple[jax.Array, jax.Array]:
         jnp.zeros(size, rows.dtype),
         jnp.full((), jnp.inf, matrix.dtype),
     )
-    work, _, order, smallest = jax.lax.fori_loop(0, size, step, start)
+    work, _, order, smallest = fori_loop(0, size, step, start)
     return work[order, size:], smallest

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._jax.varying import scan
 from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted, lump, spring_table
@@ -128,7 +129,7 @@ def _periodic(
     def advance(state: jax.Array, step: jax.Array) -> tuple[jax.Array, jax.Array]:
         return step @ state, state
 
-    _, states = jax.lax.scan(advance, start, path.steps)
+    _, states = scan(advance, start, path.steps)
     motion = states[path.samples][:, :size] @ path.modal.rows(output_indices(lumped, outputs)).T
     sun = states[:, :size] @ path.modal.rows(output_indices(lumped, ("sun.rotation",)))[0]
     free = path.rigid[0]  # nothing holds the rotations: the sun turns by zero on average
@@ -235,14 +236,14 @@ def _exponential(matrices: jax.Array) -> tuple[jax.Array, jax.Array]:
     def square(series: jax.Array, k: jax.Array) -> tuple[jax.Array, None]:
         return jax.lax.cond(k < squarings, lambda m: m @ m, lambda m: m, series), None
 
-    result, _ = jax.lax.scan(square, series, jnp.arange(MAX_SQUARINGS, dtype=jnp.int32))
+    result, _ = scan(square, series, jnp.arange(MAX_SQUARINGS, dtype=jnp.int32))
     return result, squarings > MAX_SQUARINGS
 
 
 def _product(steps: jax.Array) -> jax.Array:
     """Return the map of a whole period."""
     one = jnp.eye(steps.shape[-1], dtype=steps.dtype)
-    return jax.lax.scan(lambda whole, step: (step @ whole, None), one, steps)[0]
+    return scan(lambda whole, step: (step @ whole, None), one, steps)[0]
 
 
 def _largest(whole: jax.Array, path: _Path) -> jax.Array:

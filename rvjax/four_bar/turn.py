@@ -14,6 +14,7 @@ import numpy as np
 
 from rvjax._jax.batching import once_more, settle
 from rvjax._jax.elementary import arctan2, sin_cos
+from rvjax._jax.varying import scan
 from rvjax.four_bar.closures import Crank
 from rvjax.records import PyTree
 
@@ -122,7 +123,7 @@ def _all(along: Callable[[Crank], jax.Array], angles: int, places: bool, togethe
         return (jnp.where(up, now, most), jnp.where(down, now, least), *where), None
 
     start = (first, first, *([jnp.zeros_like(first)] * 2 if places else []))
-    best, _ = jax.lax.scan(step, start, [jnp.asarray(x[1:], first.dtype) for x in turn], unroll=together)
+    best, _ = scan(step, start, [jnp.asarray(x[1:], first.dtype) for x in turn], unroll=together)
     return jax.lax.complex(*best[-2:])
 
 

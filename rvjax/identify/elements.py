@@ -17,6 +17,7 @@ import numpy as np
 from rvjax._ground.columns import elements
 from rvjax._jax.batching import in_blocks
 from rvjax._jax.blocks import PRIORS
+from rvjax._jax.varying import fori_loop
 from rvjax.population import Correlation, Population
 from rvjax.records import PyTree
 
@@ -58,7 +59,7 @@ def standard(population: Population, values: jax.Array) -> jax.Array:
         return jnp.where(below, middle, ends[0]), jnp.where(below, ends[1], middle)
 
     start = jnp.full_like(values, FAR)
-    low, high = jax.lax.fori_loop(0, _HALVINGS, halve, (-start, start))
+    low, high = fori_loop(0, _HALVINGS, halve, (-start, start))
     return (low + high) / 2
 
 

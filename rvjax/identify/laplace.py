@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-MOST = 0.7
+MOST_PARETO = 0.7
 """Largest shape of weights whose averages can be trusted."""
 
 LEAST_DRAWS = 40
@@ -70,4 +70,4 @@ def reliability(log_weights: np.ndarray, modes: int) -> Laplace:
     weights = np.exp(log_weights - log_weights.max()) if np.isfinite(log_weights.max()) else np.zeros(1)
     k = pareto_shape(log_weights) if weights.any() else math.inf
     ess = float(weights.sum() ** 2 / (weights**2).sum()) if weights.any() else 0.0
-    return Laplace(k, ess, bool(k <= MOST and modes <= 1))
+    return Laplace(k, ess, bool(k <= MOST_PARETO and modes <= 1))

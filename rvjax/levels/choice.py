@@ -13,7 +13,7 @@ from rvjax.levels.table import Model, Table, stored
 from rvjax.outputs import torque_of
 from rvjax.population import Tolerance
 from rvjax.records import Design, PyTree, Record, Scalar, is_concrete
-from rvjax.units import readable
+from rvjax.units import readable, with_unit
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def choose(
                 why = "no cheaper level is accurate enough"
             else:
                 unit, unit_size = readable(model.outputs[name])
-                limit = f"{wanted[name] / unit_size:.3g} {unit}"
+                limit = with_unit(wanted[name] / unit_size, unit, ".3g")
                 why = f"cheapest of {len(model.levels)} levels with twice its measured error below {limit}"
                 why += f"; not modelled: {level.without}" if level.without else ""
             instead = level.instead.get(name)

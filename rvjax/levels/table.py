@@ -20,7 +20,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from rvjax.records import PyTree
-from rvjax.units import arcsec, readable
+from rvjax.units import arcsec, readable, with_unit
 
 SAFETY = 2.0  # times the largest error that was measured
 
@@ -315,7 +315,7 @@ def _error(model: Model, level: Level) -> str:
     first = next(iter(model.outputs))
     bound = SAFETY * level.largest[first][min(range(len(model.sizes)), key=lambda k: abs(model.sizes[k] - 1))]
     unit, size = _shown(model.outputs[first])
-    return f"{bound / size:.2g} {unit}"
+    return with_unit(bound / size, unit, ".2g")
 
 
 def _shown(unit: str) -> tuple[str, float]:

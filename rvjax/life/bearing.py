@@ -14,6 +14,7 @@ from rvjax._ground.choices import choose
 from rvjax._jax.blocks import LOADS, padded
 from rvjax._jax.compile_cache import quick
 from rvjax._jax.elementary import log, power
+from rvjax._jax.varying import scan
 from rvjax._reducer.bearings import RollerBearing
 from rvjax._reducer.plausible import checked
 from rvjax.designs import expect
@@ -140,7 +141,7 @@ def slices(
 
         begin = jnp.zeros((_RING, LAMINAE), force.dtype)
         blocks = [padded(x, LOADS, fill=0).reshape(-1, LOADS, *x.shape[1:]) for x in (cosine, approach, weight)]
-        damage, _ = jax.lax.scan(jax.checkpoint(block), begin, tuple(blocks))  # Eq. 14
+        damage, _ = scan(jax.checkpoint(block), begin, tuple(blocks))  # Eq. 14
         return jnp.sum(jnp.mean(power(damage, WEIBULL), axis=0))
 
     total = ring(turned_back(force, angle), ratings.inner) + ring(force, ratings.outer)

@@ -305,9 +305,9 @@ def damages(
 
 
 def reliability_factor(reliability: jax.Array) -> jax.Array:
-    """a1: life at a reliability over that at 90 %. Eq. 23.
+    """a1: life at a reliability over that at 90 %, ISO 281:2007. Eq. 23.
 
     Args:
         reliability: between 0 and 1.
     """
-    return power(jnp.log(reliability) / math.log(0.9), 1 / 1.5)
+    return 0.95 * power(jnp.log(reliability) / math.log(0.9), 1 / 1.5) + 0.05

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.compile_cache import quick
+from rvjax._jax.varying import while_loop
 from rvjax._reducer.bearings import Bearings
 from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
@@ -113,7 +114,7 @@ def largest_root(evaluate: Evaluate, start: jax.Array, memory: jax.Array) -> Roo
     first = Search(
         start, memory, -far, far, jnp.zeros((), bool), nothing, nothing, jnp.ones((), start.dtype), zero - 1, zero, zero
     )
-    found = jax.lax.while_loop(lambda state: state.status == -1, onward, first)
+    found = while_loop(lambda state: state.status == -1, onward, first)
     return found.x, found.memory, SolveInfo(found.status, found.steps, jnp.abs(found.value))
 
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import jax
 from jax.typing import DTypeLike
 
+from rvjax._jax.varying import like
 from rvjax.loaded.batching import in_blocks, in_lanes
 from rvjax.loaded.contacts import Contacts, contacts, gradient
 from rvjax.loaded.elimination import solve
@@ -95,6 +96,8 @@ def compliance(layout: Layout, system: System, q: jax.Array, load: jax.Array) ->
         q: its equilibrium (n,).
         load: (n,) N.
     """
+
+    system, q, load = like((system, q, load))
 
     def times(v: jax.Array) -> jax.Array:
         return jax.jvp(lambda x: residual(layout, system, x), (q,), (v,))[1]

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._jax.varying import scan
 from rvjax.loaded.balance import forces
 from rvjax.loaded.case import Case, placed, solve
 from rvjax.loaded.inputs import Read
@@ -74,7 +75,7 @@ def equilibria(
         here = jnp.where(succeeded(info.status)[:, None], found.q, jnp.nan) if near is not False else none
         return here, (found, info)
 
-    found, info = solved(jax.lax.scan(onward, none, (input_angles, start, own, some))[1])
+    found, info = solved(scan(onward, none, (input_angles, start, own, some))[1])
     measure = jax.checkpoint(partial(_measure, layout, take))
     taken = jax.lax.map(
         lambda x: measure(read, torques if x[0] is None else x[0], *x[1:]), (own, input_angles, found, info.status)

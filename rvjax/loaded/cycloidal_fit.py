@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._jax.varying import fori_loop
 from rvjax._reducer.flank import Ground
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.loaded.cycloidal_gaps import drive_at, drive_gaps
@@ -110,7 +111,7 @@ def largest_gap(pins: Lines, holes: Lines) -> tuple[jax.Array, jax.Array]:
         room, root = _carrier(*still, s)
         return jnp.where(room < 0, jnp.minimum(root, s), s)
 
-    s = jax.lax.fori_loop(0, STEPS, lower, start)
+    s = fori_loop(0, STEPS, lower, start)
     found = jnp.where(s < start, _carrier(pins, holes, s)[1], most)
     return found, jax.lax.stop_gradient(found) - _least(*still, s)
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from rvjax._jax.varying import scan
 from rvjax.loaded.balance import forces
 from rvjax.loaded.case import placed, pressures, solve, turned
 from rvjax.loaded.inputs import Read
@@ -70,7 +71,7 @@ def instants(
 
     none = jnp.full((layout.unknowns,), jnp.nan, torques.dtype)
     if np.any(before):
-        found, info = solved(jax.lax.scan(onward, (none, none), (torques, input_angles, jnp.asarray(before)))[1])
+        found, info = solved(scan(onward, (none, none), (torques, input_angles, jnp.asarray(before)))[1])
     else:  # one queue for all instants, so that slow ones are waited for once
         found, info = solved(jax.vmap(partial(from_start, none))(torques, input_angles))
     measure = jax.checkpoint(partial(_measure, layout), static_argnums=())

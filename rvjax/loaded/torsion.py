@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from rvjax._jax.compile_cache import quick
+from rvjax._jax.varying import scan
 from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer
@@ -130,7 +131,7 @@ def twisted(
         return jnp.where(succeeded(info.status)[:, None], found.q, jnp.nan), (found, info)
 
     cold = jnp.full((2, layout.unknowns), jnp.nan, sides.dtype)
-    found, infos = solved(jax.lax.scan(lower, cold, sizes)[1])
+    found, infos = solved(scan(lower, cold, sizes)[1])
 
     def angle(torque: jax.Array, found: Found, status: jax.Array) -> jax.Array:
         loaded = case.loaded(torque)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rvjax._jax.varying import fori_loop, while_loop
 from rvjax.records import PyTree
 
 _WIDEST, _POINTS = 20.0, 256  # search over the whole flank, where the first-order minima are out of reach
@@ -129,7 +130,7 @@ def _place(flank: Flank) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         return jax.tree.map(lambda after, before: jnp.where(state[2], after, before), new, state)
 
     # A loop, so that a batch runs it only where one of its cases needs it.
-    best, converged, _ = jax.lax.while_loop(lambda state: state[2], once_more, (best, converged, ~converged))
+    best, converged, _ = while_loop(lambda state: state[2], once_more, (best, converged, ~converged))
     return best.position, best.slope, converged, jnp.isfinite(best.rotation)
 
 
@@ -219,7 +220,7 @@ def _descend(flank: Flank, starts: tuple[jax.Array, jax.Array]) -> tuple[_Point,
     # The first step has length zero and evaluates the start.
     zero, one = jnp.zeros_like(size), jnp.ones_like(size)
     states = tuple((_Point(start, jnp.full_like(size, jnp.inf), zero, zero), one) for start in starts)
-    (near, _), (far, _) = jax.lax.fori_loop(0, STEPS, body, states)
+    (near, _), (far, _) = fori_loop(0, STEPS, body, states)
     best = _Point(*(jnp.where(near.rotation <= far.rotation, one, other) for one, other in zip(near, far)))
     remaining = best.slope**2 / jnp.maximum(jnp.abs(best.curvature), least)
     return best, jnp.isfinite(best.rotation) & (remaining <= max(1e-7, 32 * float(limits.eps)) * size)

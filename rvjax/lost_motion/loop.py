@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._jax.varying import scan
 from rvjax._reducer.plausible import checked
 from rvjax.records import Array, PyTree, Record, Scalar, concrete, field, promote, quantity, record
 
@@ -57,7 +58,7 @@ def _hysteresis_loop(*numbers: PyTree) -> jax.Array:
         after = jnp.where(before <= now - friction, now - friction, after)
         return after, after
 
-    _, passed = jax.lax.scan(play_operator, jnp.zeros_like(friction), torque)
+    _, passed = scan(play_operator, jnp.zeros_like(friction), torque)
     return _angle(passed, play, stiffness, smoothing)
 
 

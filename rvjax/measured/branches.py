@@ -15,6 +15,7 @@ MOVES = 0.1  # of the speed before: an angle that goes on so fast while the torq
 ALIKE = 2.0  # mean square of the differences of two cycles over their variance, up to which they agree
 WIDEST = 0.4  # share of the torques from which on friction leaves none where the branches have parted
 PARTED = 0.9  # share of the width farther inside, from which on branches have parted
+ENDS = 4  # samples at the reversals, which are on no branch
 SMALLEST = 1e-6 * arcmin  # standard deviation
 
 
@@ -119,6 +120,9 @@ def _read_all(where: str, found: Cycles, torque: np.ndarray, angle: np.ndarray, 
 def _compared(where: str, reads: list[Read], found: Cycles, torque: np.ndarray, angle: np.ndarray) -> Branches:
     """Mean of the last cycles that agree."""
     last = reads[0]
+    for read in reads:
+        if (count := len(read.up.torque) + len(read.down.torque) + ENDS) < 4 * GRID:
+            raise ValueError(f"{where}: {count} torques in a cycle, both ways: needs {4 * GRID}; take smaller steps")
     low, high, reach = _parted(where, last)
     half = (high - low) / (2 * GRID)
     grid = np.linspace(low + half, high - half, GRID)

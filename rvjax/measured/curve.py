@@ -11,7 +11,7 @@ from rvjax.measured.findings import findings
 from rvjax.measured.judge import judge
 from rvjax.measured.kind import Finding, Item, Kind
 from rvjax.measured.run import Run
-from rvjax.measured.sampling import legs, places
+from rvjax.measured.sampling import legs, places, unwrapped
 from rvjax.units import deg
 
 TURN = 359 * deg  # what a run has to cover; every sample represents the step before it
@@ -32,19 +32,19 @@ class Curve(Kind):
         for row, value in zip(table.rows[rows][kept], angle[kept]):
             if np.isnan(value):
                 raise ValueError(f"{table.source}: row {row}, angle is empty: every sample needs its angle in deg")
-        return Run(table.source, at, np.unwrap(angle[kept]), error[kept], table.rows[rows][kept])
+        return Run(table.source, at, unwrapped(angle[kept]), error[kept], table.rows[rows][kept])
 
     def passes(self, table: Table, at: Conditions, rows: np.ndarray) -> Iterator[tuple[Conditions, np.ndarray]]:
         """Forth and back of a file without directions; rows without a reading belong to the pass about them."""
         angle = table.numbers["angle"][rows]
         known = ~np.isnan(angle) & ~np.isnan(table.numbers["error"][rows])
-        unwrapped = np.unwrap(angle[known])
-        every = legs(unwrapped) if not at.stated else []
+        path = unwrapped(angle[known])
+        every = legs(path) if not at.stated else []
         if len(every) < 2:
             yield at, rows
             return
         for leg in every:
-            rises = unwrapped[leg][-1] > unwrapped[leg][0]
+            rises = path[leg][-1] > path[leg][0]
             yield replace(at, direction="forward" if rises else "backward", stated=True), rows[known][leg]
 
     def findings(self, item: Item, parts: Mapping[str, float]) -> tuple[Finding, ...]:

@@ -11,6 +11,7 @@ from rvjax.measured.reversals import Path
 from rvjax.units import arcmin
 
 THRESHOLD = 0.03  # of the extreme torque: where lost motion is read
+COARSE = 1.01  # of the torque of lost motion: rounding
 ACROSS = 0.05  # of the larger extreme that the other one has to reach: less is a loop on one side
 
 
@@ -131,12 +132,15 @@ def _gap(found: Branches) -> Iterator[Finding]:
 
 def _values(found: Branches, low: float, high: float, torque: np.ndarray, angle: np.ndarray) -> Iterator[Finding]:
     """Width, lost motion, stiffness and energy, as far as the loop determines them."""
-    two = not _one_sided(low, high)
+    two, at = not _one_sided(low, high), THRESHOLD * min(high, -low)
+    if two and (step := max(_step(read, at) for read in found.reads)) > COARSE * at:
+        text = f"at zero, more than the {at:.4g} N m of lost motion: it is not determined, nor is the width at zero"
+        yield Finding("coarse steps", step, "N m", text, warning=True)
+        two = False
     inside = (found.limits[0] - found.half / 2, found.limits[1] + found.half / 2)
     if two and inside[0] <= 0 <= inside[1] and found.reaches(0.0):
         _, width, sd = found.at(0.0)
         yield Finding("width at zero torque", width, "rad", f"+-{2 * sd / arcmin:.2g} arcmin")
-    at = THRESHOLD * min(high, -low)
     if two and inside[0] <= -at and at <= inside[1] and found.reaches(at) and found.reaches(-at):
         (upper, _, own), (lower, _, other) = found.at(at), found.at(-at)
         gap = max(abs(read.gap) / 2 if read.open else 0.0 for read in found.reads)  # moves both points alike
@@ -147,6 +151,15 @@ def _values(found: Branches, low: float, high: float, torque: np.ndarray, angle:
     if not found.clipped_at and all(r.jump is None and r.cycle.whole and not r.cycle.joined for r in found.reads):
         energy = [_energy(read, torque, angle) for read in found.reads]
         yield Finding("energy", float(np.mean(energy)), "N m", "area of the loop, lost in one cycle")
+
+
+def _step(read: Read, at: float) -> float:
+    """Usual step of the torques about zero, on the branch where it is larger, N m."""
+    steps = []
+    for torque in (read.up.torque, read.down.torque):
+        first, last = np.searchsorted(torque, [-2 * at, 2 * at])
+        steps.append(float(np.median(np.diff(torque[max(first - 1, 0) : last + 1]))))
+    return max(steps)
 
 
 def _stiffness(found: Branches, low: float, high: float) -> Iterator[Finding]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from rvjax.measured.atoms import Atom, Model
 from rvjax.measured.run import Run
-from rvjax.measured.sampling import STRAIGHT, Sampling, legs, places, repetition
+from rvjax.measured.sampling import STRAIGHT, Sampling, legs, places, repetition, without_spikes
 from rvjax.measured.search import content
 from rvjax.units import arcsec, deg
 
@@ -18,7 +18,7 @@ FASTEST = 12
 MOTOR = ("sun", "sun against the carrier", "shaft", "shaft against the output")
 """Names of the orders of the part that a motor turns; the fastest part where none of them is given."""
 LOST = 4.0  # standard deviations of a reading: a larger step is a lost step, not noise
-BAD = 0.01  # share of bad readings that are left out
+BAD, FEW = 0.01, 2  # share, or number, of bad readings that are left out
 DRIFTS = ("drift", "warm-up", "step")
 HOLE = 10.0  # steps: a larger gap in the revolution is no uneven step
 FEWEST = 12  # readings of a search
@@ -102,7 +102,8 @@ def _judged(run: Run, own: tuple[tuple[str, float], ...]) -> Judged:
     if len(passes := legs(angle)) > 1:
         row = rows[passes[1].start]
         raise ValueError(f"{run.name}: the angle turns back at row {row}; a run goes one way, add a column direction")
-    timed = float(np.ptp(angle)) >= STRAIGHT * float(np.sum(np.abs(np.diff(angle)))) if len(angle) else False
+    path = without_spikes(angle)
+    timed = float(np.ptp(path)) >= STRAIGHT * float(np.sum(np.abs(np.diff(path)))) if len(path) else False
     angle = angle if timed else angle % (2 * math.pi)
     rank = np.argsort(angle, kind="stable")
     readings, (angle, error, place) = len(angle), places(angle[rank], error[rank])
@@ -112,7 +113,7 @@ def _judged(run: Run, own: tuple[tuple[str, float], ...]) -> Judged:
     if len(angle) >= FEWEST and np.ptp(error) > 0 and np.ptp(angle) > 0:
         model = content(angle, error, sampling, parts, highest(parts), timed)
     bad = [int(atom.at) for atom in model.atoms if atom.kind == "glitch"]
-    if len(bad) > max(1, BAD * len(angle)):  # heavy tails are noise
+    if len(bad) > max(FEW, BAD * len(angle)):  # heavy tails are noise
         bad = []
     made = Judged(run, angle, error, np.zeros(len(angle)), sampling, model, parts, rows)
     _check_steps(made)

@@ -12,6 +12,7 @@ import numpy as np
 from rvjax._ground import columns as cells
 from rvjax._ground.cells import is_number, listed
 from rvjax._ground.columns import Table
+from rvjax._ground.encoding import guessed
 from rvjax.measured.conditions import DIRECTIONS, Conditions
 from rvjax.measured.curve import Curve
 from rvjax.measured.kind import Item, Kind
@@ -34,7 +35,11 @@ KINDS: dict[str, Kind] = {"curve": Curve(), "loop": Hysteresis(), "frequencies":
 
 
 def read_table(
-    path: str | Path, columns: Mapping[str, object] | None = None, *, kind: str | None = None
+    path: str | Path,
+    columns: Mapping[str, object] | None = None,
+    *,
+    kind: str | None = None,
+    encoding: str | None = None,
 ) -> cells.Table:
     """A table that a bench has written, long or wide; see `rvjax._ground.columns.read_table`.
 
@@ -42,19 +47,20 @@ def read_table(
         path: of the file.
         columns: foreign names by quantity.
         kind: the kind that is wanted; None: any.
+        encoding: of the file, such as "cp932"; None: UTF-8, UTF-16 or a guess.
 
     Raises:
         ValueError: one line that names the file, the column or the row, its value and the unit.
     """
     enough = [own.needs for name, own in KINDS.items() if kind in (None, name)]
-    table = cells.read_table(path, columns, units=UNITS, words=WORDS, enough=enough, named=is_column)
+    table = cells.read_table(path, columns, units=UNITS, words=WORDS, enough=enough, named=is_column, encoding=encoding)
     found = {name for name in KINDS if kind in (None, name) and set(KINDS[name].needs) <= table.numbers.keys()}
     both = {side_of(text) for text in table.header} >= set(DIRECTIONS)
     few = found == {"loop"} and both and len(np.unique(table.numbers["torque"])) < SWEPT
     if (found and not few) or kind not in (None, "curve"):
         return table
     try:  # a wide table may be at a few nominal torques
-        return read_wide(path, table, columns, units=UNITS, words=WORDS) or table
+        return read_wide(path, table, columns, units=UNITS, words=WORDS, encoding=encoding) or table
     except ValueError:
         if few:
             return table
@@ -87,7 +93,11 @@ class Measured:
 
 
 def read(
-    paths: Sequence[str | Path], columns: Mapping[str, object] | None = None, *, kind: str | None = None
+    paths: Sequence[str | Path],
+    columns: Mapping[str, object] | None = None,
+    *,
+    kind: str | None = None,
+    encoding: str | None = None,
 ) -> Measured:
     """Read the content of CSV files.
 
@@ -95,6 +105,7 @@ def read(
         paths: files with a header "name [unit]": angle, error, torque, temperature, frequency, sd, direction, unit.
         columns: foreign names by quantity: the header of the column, or {column, unit} where it says no unit.
         kind: the one kind that is read, a key of `KINDS`; None: whichever the files hold.
+        encoding: of the files, such as "cp932"; None: UTF-8, UTF-16 or a guess.
 
     Raises:
         ValueError: one line that names the file, the column or the row, its value and the unit.
@@ -106,7 +117,7 @@ def read(
     items: list[Item] = []
     notes: list[str] = []
     for path in paths:
-        table = read_table(path, columns, kind=kind)
+        table = read_table(path, columns, kind=kind, encoding=encoding)
         held = _kind(table, kind)
         kinds.setdefault(held, str(path))
         if len(kinds) > 1:
@@ -164,7 +175,14 @@ def _named(table: Table, needs: Sequence[str]) -> str:
     near = {text: cells.nearest(text, needs) for text in table.header if text not in taken}
     meant = [f"did you mean {name} for {text!r}?" for text, name in near.items() if name and name not in table.numbers]
     such = [f"name foreign ones in [columns], such as {'; '.join(lines)}"] if lines else []
-    return "; ".join([has, *meant, *such])
+    angles = [
+        text for text in table.header if recognised(cells.name_and_unit(text)[1] or "?", [*UNITS["angle"], "count"])
+    ]
+    both = (
+        "of two encoders, the error is the angle of the output less that of the input over the ratio, in a new column"
+    )
+    formed = [both] if "error" in needs and "error" not in table.numbers and len(angles) > 1 else []
+    return "; ".join([has, *meant, *such, *formed, *guessed(table.notes)])
 
 
 def _groups(table: Table) -> list[tuple[Conditions, np.ndarray]]:

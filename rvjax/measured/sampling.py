@@ -76,6 +76,7 @@ def legs(angle: np.ndarray) -> list[slice]:
     Args:
         angle: unwrapped, rad (n,).
     """
+    angle = without_spikes(angle)
     span = np.ptp(angle) if len(angle) else 0.0
     if len(angle) < 8 or span == 0:
         return [slice(0, len(angle))]
@@ -96,6 +97,37 @@ def legs(angle: np.ndarray) -> list[slice]:
             return [slice(0, len(angle))]
     starts = [0, *(k + 1 for k in turns[1:]), len(angle)]
     return [slice(a, b) for a, b in itertools.pairwise(starts) if b - a > 1]
+
+
+def unwrapped(angle: np.ndarray) -> np.ndarray:
+    """Angle without jumps by a revolution; a single wrong angle adds none.
+
+    Args:
+        angle: in the order of time, rad (n,).
+    """
+    found = np.unwrap(angle)
+    steps = np.diff(found)
+    if len(steps) < 2 or np.median(np.abs(steps)) > math.pi / 4:
+        return found
+    across = np.diff(np.unwrap(np.stack([angle[:-2], angle[2:]]), axis=0), axis=0)[0]
+    added = np.round((steps[:-1] + steps[1:] - across) / (2 * math.pi))
+    steps[1:] -= np.where(np.abs(steps[1:]) > math.pi / 2, added, 0.0) * 2 * math.pi
+    return np.concatenate([found[:1], found[0] + np.cumsum(steps)]) if np.any(added) else found
+
+
+def without_spikes(values: np.ndarray) -> np.ndarray:
+    """Median of each value and its two neighbours, which is a value of every ascending sequence itself.
+
+    Args:
+        values: in the order of time (n,). The ends are compared with a straight line (Tukey 1977, end-point rule).
+    """
+    if len(values) < 3:
+        return values
+    found = values.copy()
+    found[1:-1] = np.median([values[:-2], values[1:-1], values[2:]], axis=0)
+    for end, one, two in ((0, 1, 2), (-1, -2, -3)):
+        found[end] = np.median([values[end], found[one], 3 * found[one] - 2 * found[two]])
+    return found
 
 
 def places(angle: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

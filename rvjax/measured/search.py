@@ -56,11 +56,19 @@ def _grown(model: Model, sampling: Sampling, parts: Mapping[str, float], top: fl
     """The model with all atoms that are proved, one after the other, and without the superfluous ones."""
     first = [atom.at for atom in model.atoms]
     room = (len(model.angle) - 1) // FREE
-    while len(model.atoms) < MOST and len(model.owner) + 3 < room:
-        found = _best(model, sampling, parts, top, timed)
-        if found is None:
+    while len(model.atoms) < MOST:
+        if len(model.owner) + 3 < room:
+            candidates = _candidates(model, sampling, parts, top, timed)
+        elif len(model.owner) + FREE <= len(model.angle):  # few readings still show that one of them is wrong
+            candidates = iter([_glitch(model, model.residual)])
+        else:
             break
-        several = [Atom("order", float(math.floor(found.at) + k)) for k in (0, 1)] if found.kind == "pair" else [found]
+        found = _best(model, candidates)
+        several = _two(model) if found is None else [found]
+        if found is not None and found.kind == "pair":
+            several = [Atom("order", float(math.floor(found.at) + k)) for k in (0, 1)]
+        if not several:
+            break
         more = Model(model.angle, model.value, [*model.atoms, *(a for a in several if a not in model.atoms)])
         more = _thinned(more, keep=first)
         if _loss(more) >= _loss(model):
@@ -86,20 +94,21 @@ def _loss(model: Model) -> float:
 
 
 def _warm_up(model: Model, sampling: Sampling) -> Atom:
-    """The warm-up that explains most."""
+    """The warm-up that explains most; it lasts for several readings."""
+    least = max(TIMES[0] * sampling.stroke, model.angle[min(3, len(model.angle) - 1)] - model.angle[0])
     found = scipy.optimize.minimize_scalar(
         lambda log: model.more(Atom("warm-up", math.exp(log) * sampling.stroke)),
-        bounds=(math.log(TIMES[0]), math.log(TIMES[1])),
+        bounds=(math.log(min(least / sampling.stroke, 1.0)), math.log(TIMES[1])),
         method="bounded",
         options={"xatol": 1e-3},
     )
     return Atom("warm-up", math.exp(float(found.x)) * sampling.stroke)
 
 
-def _best(model: Model, sampling: Sampling, parts: Mapping[str, float], top: float, timed: bool) -> Atom | None:
+def _best(model: Model, candidates: Iterator[Atom]) -> Atom | None:
     """The atom that explains most for its numbers; None if none is proved."""
     gains = {}
-    for atom in _candidates(model, sampling, parts, top, timed):
+    for atom in candidates:
         if atom not in model.atoms and atom not in gains:
             gains[atom] = model.score - model.more(atom)
     proved = {atom: gain - NUMBER * atom.numbers for atom, gain in gains.items() if gain > LEAST[atom.kind]}
@@ -169,6 +178,18 @@ def _glitch(model: Model, values: np.ndarray) -> Atom:
     """The reading that is farthest from the others."""
     own = np.maximum(1 - np.sum(model.basis**2, axis=1), 1e-3)
     return Atom("glitch", float(np.argmax(np.abs(values) / np.sqrt(own))))
+
+
+def _two(model: Model) -> list[Atom]:
+    """Two readings far from the others, each of which hides the other where readings are few; empty if none are."""
+    count = len(model.angle)
+    if count * math.log(2) > LEAST["glitch"] or len(model.owner) + FREE + 1 > count:
+        return []
+    first = _glitch(model, model.residual)
+    more = Model(model.angle, model.value, [*model.atoms, first])
+    second = _glitch(more, more.residual)
+    gain = model.score - more.more(second)
+    return [first, second] if first not in model.atoms and first != second and gain > 2 * LEAST["glitch"] else []
 
 
 def _thinned(model: Model, keep: Sequence[float]) -> Model:

@@ -59,7 +59,13 @@ def is_column(header: str) -> bool:
 
 
 def read_wide(
-    path: str | Path, table: Table, columns: Mapping[str, object] | None, *, units: Units, words: Sequence[str]
+    path: str | Path,
+    table: Table,
+    columns: Mapping[str, object] | None,
+    *,
+    units: Units,
+    words: Sequence[str],
+    encoding: str | None = None,
 ) -> Table | None:
     """The long table of a wide one: angle, error, direction; None if the file is no wide table.
 
@@ -71,6 +77,7 @@ def read_wide(
         columns: foreign names; that of the angle is the target.
         units: of all quantities that a bench measures.
         words: columns of text.
+        encoding: of the file, such as "cp932"; None: UTF-8, UTF-16 or a guess.
 
     Raises:
         ValueError: no single column of targets, a column without a unit, neither positions nor deviations.
@@ -100,6 +107,7 @@ def read_wide(
         words=kept,
         at=at,
         named=is_column,
+        encoding=encoding,
     )
     target = read.numbers["angle"]
     values = np.stack([read.numbers[f"run {k}"] for k in runs], axis=1)

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 
 from rvjax.dynamics import Modes, Periodic, Response
 from rvjax.plotting.style import AFTER, BEFORE, DASHES, PALETTE, Numbers, new_axes, readable_bins, words
-from rvjax.units import readable, rpm
+from rvjax.units import readable, rpm, with_unit
 
 KIND_STYLES = {
     "rotational": (PALETTE[0], "-"),
@@ -205,7 +205,7 @@ def spread(values: Numbers, *, mean: float, sd: float, unit: str, name: str, axe
     line = (np.geomspace if of_decades else np.linspace)(bins.edges[0], bins.edges[-1], 300)
     normal = np.exp(-(((line - centre) / width) ** 2) / 2) / (width * np.sqrt(2 * np.pi))
     normal *= line * np.log(10) if of_decades else 1.0
-    axes.plot(line, normal, color=BEFORE, lw=1.8, label=f"first order, sd {width:.3g} {shown}")
+    axes.plot(line, normal, color=BEFORE, lw=1.8, label=f"first order, sd {with_unit(width, shown, '.3g')}")
     axes.set(xlabel=f"{words(name)} ({shown}){bins.beyond}", ylabel=f"density (1/{bins.per})")
     axes.set_title(f"Spread of {words(name)}")
     axes.set_ylim(0, 1.25 * axes.get_ylim()[1])  # space for the legend

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 
 from rvjax._ground.lines import words as words
 from rvjax.records import Array
+from rvjax.units import with_unit
 
 Numbers = Array | np.ndarray | Sequence[float]
 """Numbers to plot, of any library."""
@@ -160,4 +161,4 @@ def limit_lines(axes: Axes, limits: Iterable[float], unit: str, size: float) -> 
     """
     for limit in limits:
         if np.isfinite(limit):
-            axes.axvline(limit / size, color=LIMIT, lw=1.5, label=f"limit {limit / size:.4g} {unit}")
+            axes.axvline(limit / size, color=LIMIT, lw=1.5, label=f"limit {with_unit(limit / size, unit)}")

@@ -136,6 +136,7 @@ def measured(
     design: Design | None = None,
     limits: PyTree = None,
     confidence: float = 0.95,
+    encoding: str | None = None,
 ) -> MeasuredParts:
     """Tolerances that follow measured parts, from a CSV file with a row for each part.
 
@@ -149,8 +150,10 @@ def measured(
         columns: {field or element, such as "disc_bore[0,1,0]": header of its column, or {"column", "unit"} where that
             has no unit}; None: every column whose header is a name and a known unit.
         design: whose error record declares names, units and shapes; without it every known unit is used as given.
-        limits: record or dict with a `Tolerance`, (lower, upper) or None by field, for Cpk and the tolerances.
+        limits: record or dict with a `Tolerance`, (lower, upper) or None by field, for Cpk and the tolerances; one of
+            the two may be infinite, and is mean - 3 sd or mean + 3 sd in the tolerance.
         confidence: of every interval.
+        encoding: of the file, such as "cp932"; None: UTF-8, UTF-16 or a guess.
 
     Returns:
         `MeasuredParts`.
@@ -161,9 +164,9 @@ def measured(
     """
     deviate_of(confidence)
     about = None if design is None else {f.name: f.metadata for f in dataclasses.fields(design.error_record)}
-    wanted = _found(path, about) if columns is None else dict(columns)
+    wanted = _found(path, about, encoding) if columns is None else dict(columns)
     units = {name: _family(name, about) for name in wanted}
-    read = read_table(path, wanted, units=units)
+    read = read_table(path, wanted, units=units, encoding=encoding)
     shown = {name: "turn" if unit == "count" else unit for name, unit in read.shown.items()}
     si = {name: next(si for si, own in KNOWN.items() if unit in own) for name, unit in shown.items()}
     given = _limits(limits)
@@ -199,14 +202,14 @@ def measured(
     return MeasuredParts(made, figures, whole.shape[1], _pairs(list(wanted), whole, confidence), still, str(path))
 
 
-def _found(path: str | Path, about: Mapping[str, Metadata] | None) -> dict[str, str]:
+def _found(path: str | Path, about: Mapping[str, Metadata] | None, encoding: str | None) -> dict[str, str]:
     """Columns by name, of those with a known unit in the header."""
     everything = {unit: size for family in KNOWN.values() for unit, size in family.items()}
 
     def has_unit(header: str) -> bool:
         return recognised(name_and_unit(header)[1] or "?", everything) is not None
 
-    header = read_cells(path, named=has_unit).header
+    header = read_cells(path, named=has_unit, encoding=encoding).header
     plain = {split(text)[0]: text for text in header if spelling(split(text)[1] or "?") in everything}
     found = plain or {name_and_unit(text)[0]: text for text in header if has_unit(text)}
     if about is not None:
@@ -239,9 +242,10 @@ def _limits(limits: PyTree) -> dict[str, Limit]:
         given = {f.name: getattr(given, f.name) for f in dataclasses.fields(given)}
     found = {}
     for name, item in given.items():
-        if item is None:
+        if item is None or item == (-math.inf, math.inf):
             continue
-        if not isinstance(item, Tolerance) and not (isinstance(item, tuple) and len(item) == 2 and item[0] <= item[1]):
+        pair = isinstance(item, tuple) and len(item) == 2 and item[0] <= item[1]
+        if not isinstance(item, Tolerance) and not (pair and item[0] < math.inf and item[1] > -math.inf):
             raise ValueError(f"limits: {name} = {item!r}: must be a Tolerance, or (lower, upper) in SI")
         found[name] = item
     return found
@@ -295,7 +299,11 @@ def _tolerance(
         own = given.batch if names == [field] else 0.0  # measured elements determine their correlation
         return given.replace(**law, shape=shape, cp=1.0, shift=0.0, batch=own)
     mean, sd = float(values.mean()), float(values.std(ddof=1))
-    low, high = given or (mean - NATURAL * sd, mean + NATURAL * sd)
+    low, high = given or (-math.inf, math.inf)
+    low, high = (
+        low if math.isfinite(low) else min(mean - NATURAL * sd, high),
+        high if math.isfinite(high) else max(mean + NATURAL * sd, low),
+    )
     return Tolerance(low, high, shape=shape, **law)
 
 

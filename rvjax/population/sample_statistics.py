@@ -38,9 +38,10 @@ class CentralMoments:
         offset = float(centred.mean())
         centred -= offset
         power, sums = centred, []
-        for _ in range(2, 7):
-            power = power * centred
-            sums.append(float(power.sum()))  # not `@`: BLAS threads would fight with the device for the cores
+        with np.errstate(over="ignore", invalid="ignore"):  # the sixth power of 1e60 is infinite
+            for _ in range(2, 7):
+                power = power * centred
+                sums.append(float(power.sum()))  # not `@`: BLAS threads would fight with the device for the cores
         s2, s3, s4, s5, s6 = sums
         mean, least, most = float(values[0]) + offset, float(values.min()), float(values.max())
         return cls(values.size, mean, s2, s3, s4, s5, s6, least, most)
@@ -59,7 +60,7 @@ class CentralMoments:
         ours, theirs = -d * b.n / n, d * self.n / n  # of the blocks' own means from the common one
         x, y = self.sums, b.sums
         s2, s3, s4, s5, s6 = (
-            sum(math.comb(p, k) * (ours**k * x[p - k] + theirs**k * y[p - k]) for k in range(p + 1))
+            sum(math.comb(p, k) * (_power(ours, k) * x[p - k] + _power(theirs, k) * y[p - k]) for k in range(p + 1))
             for p in range(2, 7)
         )
         least, most = min(self.minimum, b.minimum), max(self.maximum, b.maximum)
@@ -78,7 +79,8 @@ class CentralMoments:
     def mean_estimate(self, confidence: float) -> Estimate:
         """Return the mean; its error sd/sqrt(n)."""
         error = self.sd / math.sqrt(self.n) if self.n else math.nan
-        skewness = math.sqrt(self.n) * self.s3 / self.s2**1.5 if self.s2 > 0 else 0.0
+        skewness = math.sqrt(self.n) * (self.s3 / self.s2) / math.sqrt(self.s2) if self.s2 > 0 else 0.0
+        skewness = skewness if math.isfinite(skewness) else 0.0
         return skewed(self.mean_or_nan, error, skewness, self.n, deviate_of(confidence))
 
     def sd_estimate(self, confidence: float) -> Estimate:
@@ -86,14 +88,27 @@ class CentralMoments:
         sd, n = self.sd, self.n
         if n < 2:
             return Estimate.about(math.nan, math.nan, 0.0)
-        m2, m4, m6 = self.s2 / n, self.s4 / n, self.s6 / n
-        spread = math.sqrt(max(0.0, m4 - m2**2 * (n - 3) / (n - 1)) / n)
+        if not (m2 := self.s2 / n) > 0:
+            return Estimate(sd, 0.0, sd, sd)
+        # Over the powers of the mean square; a sum that no number holds: of a normal distribution.
+        m4, m6 = (s / n / m2 / m2 for s in (self.s4, self.s6 / m2))
+        m4, m6 = (own if math.isfinite(own) else normal for own, normal in ((m4, 3.0), (m6, 15.0)))
+        spread = math.sqrt(max(0.0, m4 - (n - 3) / (n - 1)) / n)
         if not spread > 0:
             return Estimate(sd, 0.0, sd, sd)
-        # Third central moment of the squares, whose mean is m2.
-        skewness = (m6 - 3 * m4 * m2 + 2 * m2**3) / max(m4 - m2**2, spread**2) ** 1.5
-        square = skewed(sd**2, spread, skewness, n, deviate_of(confidence))
-        return Estimate(sd, spread / (2 * sd), math.sqrt(max(0.0, square.lower)), math.sqrt(square.upper))
+        skewness = (m6 - 3 * m4 + 2) / max(m4 - 1, spread**2) ** 1.5  # of the squares, whose mean is 1
+        square = skewed(n / (n - 1), spread, skewness, n, deviate_of(confidence))
+        low, high = (math.sqrt(max(0.0, end)) for end in (square.lower, square.upper))
+        rms = math.sqrt(m2)
+        return Estimate(sd, spread * m2 / (2 * sd), low * rms, high * rms)
+
+
+def _power(x: float, k: int) -> float:
+    """x^k; infinite where no number holds it."""
+    try:
+        return x**k
+    except OverflowError:
+        return math.inf
 
 
 class Pairwise:

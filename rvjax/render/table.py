@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from rvjax._ground.cells import is_number
 from rvjax._ground.lines import wrapped
 from rvjax.render.quantity import Quantity, Zone, number
 
@@ -318,12 +319,19 @@ def _glued(text: str) -> str:
 
 
 def as_csv(headers: Sequence[str], rows: Iterable[Sequence[Value]]) -> bytes:
-    """A table as the content of a CSV file.
+    """A table as the content of a CSV file. A text that a spreadsheet would compute has an apostrophe before it.
 
     Args:
         headers: of the columns.
         rows: cells; None is an empty one.
     """
     file = io.StringIO(newline="")
-    csv.writer(file, lineterminator="\n").writerows([headers, *rows])
+    csv.writer(file, lineterminator="\n").writerows([*map(_no_formula, row)] for row in [headers, *rows])
     return file.getvalue().encode()
+
+
+def _no_formula(cell: Value) -> Value:
+    """A text such as "=A1" or "+- 0.2 arcsec" with an apostrophe; a number in a text, or a dash, as it is."""
+    if not isinstance(cell, str) or not cell.startswith(("=", "+", "-", "@", "\t", "\r")) or cell == "-":
+        return cell
+    return cell if is_number(cell) else f"'{cell}"

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._ground.progress import planned
 from rvjax._jax.blocks import PULLED, calls
 from rvjax.population import Population
 from rvjax.response.devices import Evaluator
@@ -142,10 +143,11 @@ def begin_programs(response: Response, population: Population, *, slopes: bool =
         slopes: with those of the gradients.
     """
     own = parts(response, population)
-    for part in own:
-        begin(part.response, population)
-    for part in own if slopes else ():
-        begin_gradients(part.response, population)
+    with planned(len(own) * (2 if slopes else 1)):
+        for part in own:
+            begin(part.response, population)
+        for part in own if slopes else ():
+            begin_gradients(part.response, population)
 
 
 def status_without_errors(response: Response, population: Population) -> int:

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._ground.choices import UnknownWord, meant
+from rvjax._ground.progress import compiling
 from rvjax._jax.blocks import BLOCK as BLOCK, CPU, platform_of, spread
 from rvjax._jax.callbacks import called_back
 from rvjax._jax.compile_cache import Options, inside, kept_folder, understood
@@ -130,6 +131,7 @@ class Compiled(Generic[R]):
             return None
         if program.begun is None:
             program.begun = self._threads.submit(lambda: jax.block_until_ready(kept.call(*kept.given(leaves))))
+            compiling(program.begun)
         return kept.put_together(jax.eval_shape(kept.call, *kept.given(leaves)))
 
     def shapes(self, response: Function, *arguments: PyTree, **static: object) -> R:

@@ -9,7 +9,7 @@ from rvjax.running.formats.forms import FORMATS as FORMATS
 from rvjax.running.formats.head import Header as Header, units as units
 from rvjax.running.hysteresis import Hysteresis, hysteresis
 from rvjax.running.inputs import SHARES as SHARES
-from rvjax.running.joint import Joint, joint
+from rvjax.running.joint import OF_JOINT as OF_JOINT, Joint, joint
 from rvjax.running.losses import Losses, losses
 from rvjax.running.sets import Turned as Turned, sign_of as sign_of, turned as turned
 

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from rvjax._jax.compile_cache import quick
+from rvjax._jax.varying import while_loop
 from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import Bearings, Friction, RVReducer
@@ -177,7 +178,7 @@ def _least_root(plan: Plan, sign: float, given: Given) -> Root:
     zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
     cold = jnp.full((plan.samples, 1, plan.layout.unknowns), jnp.nan, dtype)
     state = Search(zero, cold, zero, zero, zero, zero, zero + jnp.inf, none, zero, none - 1, none, none)
-    found = jax.lax.while_loop(lambda state: state.status == -1, onward, state)
+    found = while_loop(lambda state: state.status == -1, onward, state)
     return found.x, found.memory, SolveInfo(found.status, found.steps, found.residual)
 
 

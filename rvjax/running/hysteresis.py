@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.compile_cache import ONCE, quick
+from rvjax._jax.varying import scan
 from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import Friction, RVReducer
@@ -77,7 +78,7 @@ def _hysteresis(plan: Plan, design: PyTree, errors: PyTree, friction: Friction, 
         own = call.friction.static_factor * (call.friction.output_drag + resisting[0, 0])
         return own, (own, error[0], jax.tree.map(lambda x: x[0], found.info))
 
-    passes = jax.lax.scan(under, jnp.zeros_like(read.torque), None, length=2)[1]
+    passes = scan(under, jnp.zeros_like(read.torque), None, length=2)[1]
     (torque, _), (_, angle), infos = passes
     width = jnp.where(torque > 0, angle[0] - angle[1], 0)
     idle = jnp.any(infos.status[1] == Status.UNLOADED)

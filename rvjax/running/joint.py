@@ -16,6 +16,9 @@ from rvjax.status import SolveInfo, Status
 
 SHARES = ((-1e-3, 1e-3, 0.5), (1.0, 1.0, 1.0))  # of the rated torque, three at a time as along the turn
 
+OF_JOINT = ("rated_torque", "input_angle", "running_samples", "pin_contact", "carrier", "sun")
+"""Conditions of a study that a joint model reads."""
+
 
 @record
 class Joint(Record):

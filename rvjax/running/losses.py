@@ -34,7 +34,7 @@ class Losses(Record):
     drag: Array = field("N m", "part of loss_torque")
     starting_torque: Array = field("N m", "on the input, from the worst angle, without load")
     no_load_torque: Array = field("N m", "on the input in motion, without load")
-    self_locking: Array = field("-", "1: a torque of this size at the output cannot start it, else 0", kind="integer")
+    self_locking: Array = field("-", "1: a torque of this size at the output cannot start it, else 0")
     info: SolveInfo = field("-", "the worst equilibrium; steps: all", kind="record")
 
 
@@ -107,10 +107,10 @@ def _losses(
         starting_torque=turn.at_rest(0) / abs(turn.ratio),
         no_load_torque=turn.mean(0, speed) / abs(turn.ratio),
     )
-    locked = turn.at_rest(2) > jnp.abs(torque)
+    values["self_locking"] = (turn.at_rest(2) > jnp.abs(torque)).astype(torque.dtype)
     idle = jnp.any(turn.info.status[:, 1:] == Status.UNLOADED)
     values, info = ended(call, turn.info.status, idle, values, worked(turn.info))
-    return Losses(**values, self_locking=locked.astype(jnp.int32), info=info)
+    return Losses(**values, info=info)
 
 
 def efficiency(loss: jax.Array, torque: jax.Array) -> jax.Array:

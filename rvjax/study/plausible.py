@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rvjax._reducer.plausible import doubt, doubtful, shown, steep
+from rvjax._reducer.plausible import doubt, doubtful, shown, steep, undercut
 from rvjax.errors import described
 from rvjax.outputs import Output
 from rvjax.records import Design, PyTree
@@ -18,6 +18,7 @@ from rvjax.study.kinds import kind_of, number_at
 from rvjax.study.toleranced import Form, stated_by
 from rvjax.study.values import Metadata
 from rvjax.tolerances import Cost, Limits, Middle, Tolerance
+from rvjax.units import with_unit
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -59,7 +60,7 @@ def doubts(
     forms: Mapping[str, Form] = MappingProxyType({}),
 ) -> list[str]:
     """Numbers that are far from those of every known reducer, a line each; tolerances as the file states them."""
-    kind, found = kind_of(design), [f"design.{line}" for line in steep(design) + doubtful(design)]
+    kind, found = kind_of(design), [f"design.{line}" for line in (undercut(design) or steep(design)) + doubtful(design)]
     for f in dataclasses.fields(conditions):
         if f.metadata["torque"]:
             value = abs(getattr(conditions, f.name) or 0.0)
@@ -102,10 +103,8 @@ def doubtful_limits(requirements: Mapping[str, Limits], outputs: Mapping[str, Ou
     for name, requirement in requirements.items():
         (unit, size), least = outputs[name].shown, outputs[name].least
         if 0 < requirement.upper < least / FAR_LIMIT:
-            found.append(
-                f"requirement.{name}.upper = {requirement.upper / size:.4g} {unit}: no known reducer has less than "
-                f"{least / size:.4g} {unit}; check the unit"
-            )
+            limit, known = (with_unit(number / size, unit) for number in (requirement.upper, least))
+            found.append(f"requirement.{name}.upper = {limit}: no known reducer has less than {known}; check the unit")
     return found
 
 

@@ -23,7 +23,7 @@ from rvjax.study.bench import (
     signed_torques,
 )
 from rvjax.study.identification import Identification, planned_kind
-from rvjax.study.kinds import orders_of
+from rvjax.study.kinds import kind_of, orders_of
 from rvjax.study.nuisances import NUISANCES
 from rvjax.study.study import Study, StudyError
 from rvjax.tolerances import Tolerance
@@ -89,7 +89,11 @@ def identification_of(study: Study) -> Identification:
         StudyError: it has no [identify].
     """
     if study.identification is None:
-        raise StudyError(f'{study.name}: [identify] is missing; it needs at least model = "four_bar", orders and noise')
+        able = models.kind(study.design).observed
+        models_of = " or ".join(f'"{name}"' for name in able)
+        needs = f"it needs at least model = {models_of}, orders and noise"
+        cannot = f"no model of {kind_of(study.design).name} can be measured"
+        raise StudyError(f"{study.name}: [identify] is missing; {needs if able else cannot}")
     return study.identification
 
 

@@ -12,7 +12,8 @@ from rvjax._ground.choices import meant
 from rvjax._ground.sections import reader as sections_reader
 from rvjax._reducer.deviations import remind_of_precision
 from rvjax.outputs import Output
-from rvjax.records import IN_ERROR_UNIT, PyTree
+from rvjax.records import IN_ERROR_UNIT, Design, PyTree
+from rvjax.running import OF_JOINT
 from rvjax.study.design import parse_design
 from rvjax.study.identification import Identification, parse_identification
 from rvjax.study.origin import given_paths
@@ -128,11 +129,12 @@ def parse_study(
             raise ValueError("[columns]: names columns of measured data, but there is no [identify]")
         if requirements:
             refuse_unplaced(kind, tuple(dict.fromkeys((*requirements, *losses))), tolerances)
+        wanted = tuple(dict.fromkeys((*limited, *objective, *losses)))
         study = Study(
             name=name,
             text=text,
             design=design,
-            conditions=_conditions(kind, tuple(dict.fromkeys((*limited, *objective, *losses))), identification, tables),
+            conditions=_conditions(design, wanted, identification, tables),
             tolerances=tolerances,
             costs=costs,
             requirements=requirements,
@@ -177,13 +179,16 @@ def _decimal_comma(text: str, error: str) -> str:
 
 
 def _conditions(
-    kind: models.Kind, outputs: tuple[str, ...], identification: Identification | None, tables: Toml
+    design: Design, outputs: tuple[str, ...], identification: Identification | None, tables: Toml
 ) -> PyTree:
+    kind = models.kind(design)
     fields = {f.name: f.metadata for f in dataclasses.fields(kind.conditions)}
     given = subtable(tables, "conditions")
     known(given, {name for name, about in fields.items() if not about["columns"]}, "conditions")
     given = given | {name: tables[name] for name in models.tables() if name in tables}
-    read = set(kind.conditions_of(outputs))
+    read = set(kind.conditions_of(outputs)) if outputs or identification else set(fields)  # of a design alone
+    if getattr(design, "friction", None) is not None:
+        read |= set(OF_JOINT)  # `rvjax export`
     if any(map(kind.costly, outputs)):  # a loaded study lists what it does not limit
         read |= set(kind.conditions_of(tuple(kind.usual)))
     if identification:

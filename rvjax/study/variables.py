@@ -11,6 +11,7 @@ from rvjax.records import Design
 from rvjax.study.kinds import fields_of, kind_of, number_at, split
 from rvjax.study.values import Toml, choice, known, naming_field, quantity, subtable
 from rvjax.tolerances import Variable
+from rvjax.units import with_unit
 
 
 def refuse_variable(design: Design, path: str, given: Collection[str]) -> None:
@@ -89,7 +90,7 @@ def parse_variables(table: Toml, design: Design, given: Collection[str]) -> dict
             raise ValueError(f"{where}.lower = {entry['lower']!r}: must not exceed upper = {entry['upper']!r}")
         start = quantity(entry["start"], unit, f"{where}.start") if "start" in entry else float(number_at(design, path))
         if not lower <= start <= upper:
-            said = repr(entry["start"]) if "start" in entry else f"{start:.6g} {unit}, that of [design],"
+            said = repr(entry["start"]) if "start" in entry else f"{with_unit(start, unit, '.6g')}, that of [design],"
             raise ValueError(f"{where}.start = {said}: must lie between lower and upper")
         among = _list(entry["among"], unit, f"{where}.among", lower, upper) if "among" in entry else ()
         cost = _price(entry["cost"], unit, f"{where}.cost") if "cost" in entry else None

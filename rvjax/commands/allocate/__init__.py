@@ -11,10 +11,10 @@ from rvjax.commands.allocate.forecast import (
     seconds_of_units as seconds_of_units,
     shown_values as shown_values,
 )
+from rvjax.commands.allocate.influence import influence_tables as influence_tables
 from rvjax.commands.allocate.kept import FILE as FILE, restored_from as restored_from
 from rvjax.commands.allocate.report import (
     headline as headline,
-    influence_tables as influence_tables,
     limits_of_the_answer as limits_of_the_answer,
     report_on as report_on,
     requirement_table as requirement_table,

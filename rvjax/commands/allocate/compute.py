@@ -24,13 +24,13 @@ class Computed:
     drawn: tuple[Figure, ...]
 
 
-def phases(inputs: Inputs) -> dict[str, float]:
-    """Phases of the command with their seconds.
+def phases(inputs: Inputs) -> tuple[str, ...]:
+    """Phases of the command.
 
     Args:
         inputs: what is computed.
     """
-    return phases_of(inputs.study, READING, WRITING) if inputs.kept is None else {}
+    return phases_of(READING, WRITING) if inputs.kept is None else ()
 
 
 def compute(inputs: Inputs) -> Computed | None:

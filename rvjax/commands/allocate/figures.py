@@ -11,6 +11,7 @@ import rvjax
 from rvjax.commands.allocate.answer import Answer
 from rvjax.render import Figure
 from rvjax.tolerances import least_yield
+from rvjax.units import with_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,7 +51,8 @@ def _caption(answer: Answer, name: str) -> str:
     if not valid.size:
         return caption
     unit, size = study.output(name).shown
-    caption += f"; after: mean {valid.mean() / size:.3g} {unit}, sd {valid.std() / size:.3g} {unit}"
+    mean, sd = (with_unit(number / size, unit, ".3g") for number in (valid.mean(), valid.std()))
+    caption += f"; after: mean {mean}, sd {sd}"
     known = (("Cp", certificate.cp_estimate), ("Cpk", certificate.cpk_estimate))
     return caption + "".join(
         f", {label} {found[name].value:.3g}" for label, found in known if found and math.isfinite(found[name].value)

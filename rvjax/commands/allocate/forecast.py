@@ -18,9 +18,6 @@ CERTIFICATES = {True: 5, False: 4}
 PASSES_A_POINT = 6  # of the cost curve
 # The same of rv-40e-whole, whose units are costly: passes solve those that decide, certificates share a sample.
 COSTLY_PASSES, COSTLY_CERTIFICATES, COSTLY_PART_OF_A_POINT = 5, 1.2, 0.4
-# Seconds of a phase besides its units: tracing, compilation (between a first run and one with kept programs), pictures.
-BESIDES = {SEARCHING: 20.0, CERTIFYING: 1.0, SAMPLING: 16.0, PRICING: 12.0}
-COSTLY_BESIDES = {SEARCHING: 35.0, CERTIFYING: 0.0, SAMPLING: 2.0, PRICING: 3.0}
 COMPILING = {True: "30 s for a loaded RV-40E, 60 s", False: "20 s for an RV-40E, 45 s"}
 
 
@@ -75,14 +72,11 @@ def expected(study: Study) -> str:
     )
 
 
-def phases_of(study: Study, before: str, *after: str) -> dict[str, float]:
-    """Seconds of each phase of a run, on the computer of the measured table, including compilation.
+def phases_of(before: str, *after: str) -> tuple[str, ...]:
+    """Phases of a run.
 
     Args:
-        study: whose allocation is computed.
         before: phase before it.
         *after: phases after it.
     """
-    unit, besides = unit_seconds(study) or 0.0, COSTLY_BESIDES if study.costly else BESIDES
-    spent = {phase: besides[phase] + unit * units for phase, units in solved_units(study).items()}
-    return {before: 0.0} | spent | dict.fromkeys(after, 10.0)
+    return before, SEARCHING, CERTIFYING, SAMPLING, PRICING, *after

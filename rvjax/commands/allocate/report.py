@@ -12,16 +12,15 @@ from rvjax.commands.allocate import kept
 from rvjax.commands.allocate.answer import Answer
 from rvjax.commands.allocate.compute import Computed
 from rvjax.commands.allocate.figures import figures
+from rvjax.commands.allocate.influence import IN_FILE, NOT_IN_FILE, influence_tables
 from rvjax.commands.allocate.inputs import Inputs
 from rvjax.commands.allocate.shortfall import shortfalls
 from rvjax.commands.allocate.whole import unlimited_tables, unlimited_texts, whole_text
 from rvjax.commands.cells import (
-    SHARE_MEANS,
-    UNMOVED_MEANS,
     assumed_text,
+    binding,
     evaluated,
     failures_text,
-    influence_share,
     limit_text,
     limits_data,
     limits_of,
@@ -29,13 +28,9 @@ from rvjax.commands.cells import (
     price_text,
     searched_texts,
     share,
-    slope_text,
-    together_text,
 )
 from rvjax.population import Estimate
 from rvjax.render import (
-    CSV,
-    EVERYWHERE,
     PAGE,
     Cell,
     Column,
@@ -52,11 +47,10 @@ from rvjax.render import (
     number,
 )
 from rvjax.tolerances import Allocation, expected_losses
-from rvjax.units import readable
+from rvjax.units import readable, with_unit
 
 MOVED = "middles moved"
 """Row with the cost of moved mid-points: with it, the column of costs adds up to the total."""
-NOT_IN_FILE, IN_FILE = EVERYWHERE - {CSV}, frozenset({CSV})
 
 
 def report(inputs: Inputs, found: Computed | None) -> Report:
@@ -139,7 +133,7 @@ def losses_of(answer: Answer) -> list[str]:
         before, after = given[name], allocation.losses[name]
         unit, size = study.output(name).shown
         sums[0] += before.value
-        at, target = (f"{float(value) / size:g} {unit}" for value in (loss.at, loss.target))
+        at, target = (with_unit(float(value) / size, unit, "g") for value in (loss.at, loss.target))
         priced = f"{float(loss.price):g} for {at} off {target}"
         lines.append(f"mean loss of {name} ({priced}): {before.value:.3f} -> {after.value:.3f}, {_ends(after)}")
     whole = allocation.objective
@@ -207,47 +201,6 @@ def tolerance_tables(answer: Answer) -> list[Table]:
         Table("tolerances", columns, rows, on=IN_FILE),
         Table("tolerances", columns, [*rows, total], on=NOT_IN_FILE, total=True),
     ]
-
-
-def influence_tables(answer: Answer) -> list[Table]:
-    """Mean slope of each response along each error and share of the variance, with its interval, after.
-
-    A row for each error in text and page, for each error and response in the file.
-    """
-    study, found = answer.study, answer.after.influence
-    columns: list[Column] = [Text("error")]
-    for name in study.requirements:
-        columns += [_Slope(f"d {name} / d error"), Interval("share [interval]")]
-    wide, long = [], []
-    for field in study.fields:
-        error_unit, error_size = readable(study.unit(field))
-        row: list[Cell] = [field]
-        for name in study.requirements:
-            output, one = study.output(name), found[name]
-            (unit, size), part = output.shown, influence_share(one, field)
-            row += [slope_text(one, field, study, output), part]
-            mean, single = (each[field] * error_size / size or None for each in (one.slopes, one.scatter))
-            known = one.shares[field]
-            three = [number(x) if part else None for x in (known.value, known.lower, known.upper)]
-            long.append([field, name, number(mean), f"{unit}/{error_unit}", *three, number(single)])
-        wide.append(row)
-    titles = ("error", "response", "slope", "unit of the slope", "share of variance")
-    ends = ("share, lower end", "share, upper end", "slope of a unit, rms")
-    note = "\n".join(filter(None, [UNMOVED_MEANS, SHARE_MEANS, together_text(found)]))
-    return [
-        Table("influence", [Column(title) for title in (*titles, *ends)], long, on=IN_FILE),
-        Table("influence", columns, wide, note=note, on=NOT_IN_FILE),
-    ]
-
-
-@dataclass(frozen=True)
-class _Slope(Text):
-    """Mean slopes, or "no slope" with the root mean square of single units."""
-
-    @property
-    def narrow(self) -> int:
-        """The root mean square may be on the next line."""
-        return 20
 
 
 @dataclass(frozen=True)
@@ -330,10 +283,11 @@ def requirement_table(answer: Answer) -> Table:
             requirement.text(),
             goal,
         ]
-        row += [requirement.text(), figure_unit, *cells, met, (allocation.multipliers[name], output, ends)]
+        row += [requirement.text(), figure_unit, *cells, met, (binding(allocation, name), output, ends)]
         row += [evaluated(graded.certificate.verdicts[name], output)] if graded else []
         rows.append([*row, met])
-    return Table("requirements", columns, rows, note=price_text(study, allocation.multipliers))
+    prices = {name: binding(allocation, name) for name in study.requirements}
+    return Table("requirements", columns, rows, note=price_text(study, prices))
 
 
 def _data(answer: Answer) -> dict[str, object]:

@@ -9,6 +9,7 @@ from rvjax.outputs import Output
 from rvjax.population import deviate_of
 from rvjax.study import Study
 from rvjax.tolerances import Allocation, Requirement, Statistics
+from rvjax.units import with_unit
 
 LIVES = ("life", "arm_bearing_life")
 CONFIDENCE = 0.95  # of certificates
@@ -25,7 +26,7 @@ def shortfall_text(shortfall: float, output: Output) -> str:
     if math.isinf(shortfall):
         return "cannot be met: too many units fail"
     unit, size = output.shown
-    return f"would have to move by {shortfall / size:.4g} {unit}"
+    return f"would have to move by {with_unit(shortfall / size, unit)}"
 
 
 def shortfalls(study: Study, allocation: Allocation) -> dict[str, str]:

@@ -27,6 +27,7 @@ from rvjax.response import elements, is_costly, parts
 from rvjax.status import succeeded
 from rvjax.study import CURVE, Response, Study
 from rvjax.tolerances import Requirement, monte_carlo
+from rvjax.units import with_unit
 
 UNITS, MANY = 2 * AT_ONCE, 16384
 FOLDS = 4
@@ -296,7 +297,7 @@ def whole_text(found: Whole, study: Study) -> str:
     said = []
     for name, output in found.output.items():
         unit, size = study.output(name).shown
-        mean = f", mean {found.mean[name] / size:.3g} {unit}" if output != name else ""
+        mean = f", mean {with_unit(found.mean[name] / size, unit, '.3g')}" if output != name else ""
         said.append(f"{output} {100 * found.within[name]:.3g} % within the limit{mean}")
     known = "errors without a tolerance" + "".join(f", {name} (it has no place)" for name in found.unread)
     failed = f"; {found.failed} failed" if found.failed else ""

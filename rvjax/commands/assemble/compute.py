@@ -93,13 +93,13 @@ class Assembled:
     prices: tuple[Price, ...] = ()
 
 
-def phases(inputs: Inputs) -> dict[str, float]:
-    """Phases of the command; their times are not known before.
+def phases(inputs: Inputs) -> tuple[str, ...]:
+    """Phases of the command.
 
     Args:
         inputs: what is computed.
     """
-    return dict.fromkeys((READING, MATCHING, *([PRICING] if inputs.prices else []), WRITING), 0.0)
+    return (READING, MATCHING, *([PRICING] if inputs.prices else []), WRITING)
 
 
 def _mirrored(plan: Plan, objective: str) -> Plan:
@@ -113,7 +113,7 @@ def _mirrored(plan: Plan, objective: str) -> Plan:
 def compute(inputs: Inputs) -> Assembled:
     """Compute the plan, and prices if required."""
     study, how = inputs.study, table_of(inputs.study)
-    parts = bench(study, inputs.source)
+    parts = bench(study, inputs.source, encoding=inputs.encoding)
     progress.begin(MATCHING)
     response, requirement = parts.small
     with warnings.catch_warnings():

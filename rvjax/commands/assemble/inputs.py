@@ -42,19 +42,21 @@ class Inputs:
         source: path of the list of parts.
         prices: also compare the costs of random and matched assembly.
         folder: of the results.
+        encoding: of the list; None: guessed.
     """
 
     study: Study
     source: str
     prices: bool
     folder: Path
+    encoding: str | None = None
 
 
 def inputs(options: argparse.Namespace) -> Inputs:
     """The inputs that the options name; the unit without errors is solved with the parts."""
     loaded = study.load(options.study, solve=False)
     folder = results_folder(options.results, f"{loaded.name}-assembly")
-    return Inputs(loaded, options.parts, options.prices, folder)
+    return Inputs(loaded, options.parts, options.prices, folder, options.encoding)
 
 
 def section(table: Mapping[str, object], loaded: Study) -> Assembly:

@@ -13,7 +13,7 @@ import numpy as np
 from rvjax._ground import columns
 from rvjax._ground.axes import axis_sizes
 from rvjax._ground.cells import MARKS, read_cells
-from rvjax._ground.choices import unknown
+from rvjax._ground.encoding import guessed
 from rvjax._ground.numbers import number_of
 from rvjax._ground.repr import value_text
 from rvjax.assembly import (
@@ -32,7 +32,7 @@ from rvjax.mounting import AXES, carried, disc_mountings, drawing
 from rvjax.records import PyTree
 from rvjax.study import KINDS, Study, StudyError, kind_of
 from rvjax.tolerances import Requirement, Tolerance
-from rvjax.units import KNOWN, recognised
+from rvjax.units import KNOWN, recognised, unknown_unit
 
 WORDS = ("kind", "id", "stock")
 REST = "rest"
@@ -71,6 +71,7 @@ class Bench:
         requirement: on it.
         costly: a unit is so expensive that only those are solved that can enter the plan.
         unusual: a line for each part far beyond its limits or its lot, the furthest of each kind first.
+        notes: how the file was read.
     """
 
     response: UnitResponse
@@ -79,6 +80,7 @@ class Bench:
     requirement: Requirement
     costly: bool = False
     unusual: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def sense(self) -> int:
@@ -99,7 +101,7 @@ class Bench:
         )
 
 
-def bench(study: Study, path: str | Path) -> Bench:
+def bench(study: Study, path: str | Path, *, encoding: str | None = None) -> Bench:
     """Parts of a study from a CSV file.
 
     The first line names the columns: `kind` ("disc", "crank", "carrier", or any name for parts that hold whole errors,
@@ -110,6 +112,7 @@ def bench(study: Study, path: str | Path) -> Bench:
     Args:
         study: design, tolerances (the populations), requirements and measurement uncertainties.
         path: of the file.
+        encoding: of the file, such as "cp932"; None: UTF-8, UTF-16 or a guess.
 
     Raises:
         StudyError: names file, line, column and value.
@@ -118,7 +121,7 @@ def bench(study: Study, path: str | Path) -> Bench:
         able = " and ".join(kind.plural for kind in KINDS.values() if kind.unit_errors)
         raise StudyError(f"{study.name}: parts are matched for {able} only")
     name, requirement = _asked(study)
-    rows = _rows(Path(path))
+    rows, notes = _rows(Path(path), encoding)
     groups: dict[str, list[Row]] = {}
     for row in rows:
         groups.setdefault(row.cells["kind"], []).append(row)
@@ -145,7 +148,7 @@ def bench(study: Study, path: str | Path) -> Bench:
     design = study.design
     return Bench(
         lambda parts, index: outcome(unit_errors(design, parts, index)), kinds, name, requirement, outcome.costly,
-        tuple(unusual),
+        tuple(unusual), tuple(notes),
     )  # fmt: skip
 
 
@@ -198,10 +201,15 @@ def _asked(study: Study) -> tuple[str, Requirement]:
     return name, requirement
 
 
-def _rows(path: Path) -> list[Row]:
+def _rows(path: Path, encoding: str | None) -> tuple[list[Row], list[str]]:
+    """Rows of the list; a note on a guessed encoding."""
     try:
         cells = read_cells(
-            path, "kind,id,bearing_clearance [um]", short=True, named=lambda text: text.lower() in ("kind", "id")
+            path,
+            "kind,id,bearing_clearance [um]",
+            short=True,
+            named=lambda text: text.lower() in ("kind", "id"),
+            encoding=encoding,
         )
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: no such list of parts") from None
@@ -211,9 +219,11 @@ def _rows(path: Path) -> list[Row]:
             raise StudyError(f"{path}: has no column {needed!r}; it has {', '.join(header)}")
     names = [name for name in header if name]  # a delimiter at the end of each line makes a column without a name
     if len(set(names)) < len(names):
-        raise StudyError(f"{path}: two columns have the same name")
+        twice = next(name for name in names if names.count(name) > 1)
+        raise StudyError(f"{path}: two columns have the same name, {twice!r}")
     rows = [Row(number, dict(zip(header, map(str.strip, row))), cells.comma) for number, row in cells.body]
-    return [row for row in rows if not row.cells["kind"].startswith(MARKS)]  # a comment that has commas
+    rows = [row for row in rows if not row.cells["kind"].startswith(MARKS)]  # a comment that has commas
+    return rows, guessed(cells.notes)
 
 
 def _slots(design: PyTree, kind: str, path: str | Path) -> tuple[list[str], dict[str, tuple[int, ...]]]:
@@ -307,14 +317,13 @@ def _column(
     except ValueError:
         unit = None
     if unit is None:
-        hint = "; put a name with a comma in quotes" if column.count("[") > column.count("]") else ""
         example = "must be like 'bearing_clearance [um]' or 'disc_bore[0,1] [um]'"
-        raise StudyError(f"{path}: column {column!r}: {example}{hint}")
+        raise StudyError(f"{path}: column {column!r}: {example}")
     if field not in shapes:
         raise StudyError(f"{path}: column {column!r}: parts of kind {kind!r} have {', '.join(shapes)}")
     units, known = KNOWN[study.unit(field)], recognised(unit, KNOWN[study.unit(field)])
     if known is None:
-        raise StudyError(str(unknown(f"{path}: column {column!r}: unit {unit!r}", unit, units, " is not one of")))
+        raise StudyError(str(unknown_unit(f"{path}: column {column!r}: unit {unit!r}", unit, units)))
     shape = shapes[field]
     if len(place) != len(shape) or any(k >= size for k, size in zip(place, shape)):
         raise StudyError(f"{path}: column {column!r}: {field} of this part has the shape {shape}")

@@ -41,7 +41,11 @@ def report(inputs: Inputs, found: Assembled) -> Report:
     return Report(
         title=f"{study.name}: assembly",
         content=(
-            Note("\n".join([*parts.unusual[:MOST], *_others(parts.unusual), *_verdict(study, plan, parts.name)])),
+            Note(
+                "\n".join(
+                    [*parts.notes, *parts.unusual[:MOST], *_others(parts.unusual), *_verdict(study, plan, parts.name)]
+                )
+            ),
             _compared(plan, parts.sense, *output.shown),
             Note("\n".join([f"gain of the mean: {gain.text()}", *_left(plan)])),
             *prices,

@@ -96,13 +96,13 @@ class Budget:
         return {name: value / total if total > 0 else 0.0 for name, value in sums.items()}
 
 
-def phases(inputs: Inputs) -> dict[str, float]:
-    """Phases of the command; their times are not known before.
+def phases(inputs: Inputs) -> tuple[str, ...]:
+    """Phases of the command.
 
     Args:
         inputs: what is computed.
     """
-    return dict.fromkeys((READING, COUNTED, WRITING), 0.0)
+    return (READING, COUNTED, WRITING)
 
 
 def compute(inputs: Inputs) -> Budget | ScalarBudget:

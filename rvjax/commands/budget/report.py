@@ -12,7 +12,7 @@ from rvjax.commands.budget.inputs import Inputs
 from rvjax.commands.budget.scalar import ScalarBudget, report_on_scalar
 from rvjax.render import CSV, EVERYWHERE, Column, Figure, Note, Number, Report, Section, Table, Text
 from rvjax.study import Study
-from rvjax.units import arcsec, readable
+from rvjax.units import arcsec, readable, with_unit
 
 ORDERS_SHOWN = 8  # of the output turn, the largest
 NOTHING = 1e-20  # of the mean square: rounding
@@ -157,7 +157,8 @@ def _load_lines(budget: Budget) -> list[str]:
             together = "is not linear in the errors; these shares do not contain it"
         failed = budget.failed[load]
         lines.append(
-            f"{load if load == named else f'{load}, {named}'}: {spread:.3g} {unit} rms over units and angles; "
+            f"{load if load == named else f'{load}, {named}'}: {with_unit(spread, unit, '.3g')} rms over units and "
+            "angles; "
             f"at most {share:.2g} +- {error:.1g} % of its variance {together}"
             + (f"; {failed} of {budget.samples} units failed and are excluded" if failed else "")
         )

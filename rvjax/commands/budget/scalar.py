@@ -13,6 +13,7 @@ from rvjax.render import Cell, Interval, Note, Number, Quantity, Report, Table, 
 from rvjax.response import BLOCK
 from rvjax.study import Study
 from rvjax.tolerances import Influence, influences
+from rvjax.units import with_unit
 
 
 @dataclass(frozen=True)
@@ -88,8 +89,8 @@ def report_on_scalar(budget: ScalarBudget, study: Study) -> Report:
         f"Study {study.name}",
         *(f"Inaccurate: {line}" for line in study.inaccurate()),
         f"Error budget: {budget.output}, {output.meaning}",
-        f"{found.units} units{excluded}: mean {found.mean / size:.4g} {unit}, "
-        f"standard deviation {found.sd / size:.4g} {unit}",
+        f"{found.units} units{excluded}: mean {with_unit(found.mean / size, unit)}, "
+        f"standard deviation {with_unit(found.sd / size, unit)}",
         "slope: derivative to one element of the error, mean over the units, root mean square over its elements",
         *filter(None, [UNMOVED_MEANS, SHARE_MEANS, together_text({budget.output: found})]),
     ]

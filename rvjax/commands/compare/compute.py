@@ -7,7 +7,6 @@ import dataclasses
 from dataclasses import dataclass
 
 from rvjax._ground import progress
-from rvjax.commands import forecast
 from rvjax.commands.compare.inputs import Inputs
 from rvjax.commands.compare.results import Topics, compared
 from rvjax.records import PyTree
@@ -119,16 +118,15 @@ class Comparison:
     crossed: dict[str, Crossed]
 
 
-def phases(inputs: Inputs) -> dict[str, float]:
-    """Phases of the command with their seconds.
+def phases(inputs: Inputs) -> tuple[str, ...]:
+    """Phases of the command.
 
     Args:
         inputs: what is computed.
     """
     if inputs.study is None:
-        return {}
-    seconds = 5.0 + (forecast.unit_seconds(inputs.study) or 0.0) * (inputs.samples or inputs.study.certificate_samples)
-    return dict.fromkeys(map(_drawing, inputs.answers), seconds)
+        return ()
+    return tuple(map(_drawing, inputs.answers))
 
 
 def _drawing(letter: str) -> str:

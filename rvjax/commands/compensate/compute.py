@@ -83,20 +83,25 @@ class Corrections:
     notes: tuple[str, ...] = ()
 
 
-def phases(inputs: Inputs) -> dict[str, float]:
-    """Phases of the command; their times are not known before.
+def phases(inputs: Inputs) -> tuple[str, ...]:
+    """Phases of the command.
 
     Args:
         inputs: what is computed.
     """
-    return dict.fromkeys((READING, CORRECTING, WRITING), 0.0)
+    return (READING, CORRECTING, WRITING)
 
 
 def compute(inputs: Inputs) -> Corrections:
     """Corrections of all curves and their tables."""
     progress.begin(CORRECTING)
     found = corrections(
-        inputs.study, inputs.data, angle_sd=inputs.angle_sd, count=inputs.count, first_order=inputs.first_order
+        inputs.study,
+        inputs.data,
+        angle_sd=inputs.angle_sd,
+        count=inputs.count,
+        first_order=inputs.first_order,
+        encoding=inputs.encoding,
     )
     made = (table(c.correction, max(inputs.points, _least(c.correction)), side=inputs.side) for c in found.curves)
     return dataclasses.replace(found, tables=tuple(made))
@@ -108,7 +113,13 @@ def _least(found: Correction) -> int:
 
 
 def corrections(
-    study: Study, path: str | Path, *, angle_sd: float = 0.0, count: int | None = None, first_order: bool = False
+    study: Study,
+    path: str | Path,
+    *,
+    angle_sd: float = 0.0,
+    count: int | None = None,
+    first_order: bool = False,
+    encoding: str | None = None,
 ) -> Corrections:
     """Corrections from a CSV file of measured curves.
 
@@ -122,6 +133,7 @@ def corrections(
         angle_sd: of the table's zero, rad of the output.
         count: orders to store at most.
         first_order: order 1 belongs to the reducer, not to the mounting of the encoder.
+        encoding: of the file, such as "cp932"; None: UTF-8, UTF-16 or a guess.
 
     Raises:
         ValueError: names file, row, column and value.
@@ -129,7 +141,7 @@ def corrections(
     if not orders_of(study.design):
         able = " or ".join(kind.name for kind in KINDS.values() if kind.orders)
         raise StudyError(f"{study.name}: {able} is needed, whose ratio and pins are read")
-    read = read_measured([path], study.columns, kind="curve")
+    read = read_measured([path], study.columns, kind="curve", encoding=encoding)
     runs = [run for run in read.runs if len(run.angle)]
     if not runs:
         raise StudyError(f"{path}: holds no point")

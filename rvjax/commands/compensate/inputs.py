@@ -27,6 +27,7 @@ class Inputs:
         points: rows of a table at least.
         side: "input" or "output".
         folder: of the results.
+        encoding: of the bench file; None: guessed.
     """
 
     study: Study
@@ -38,6 +39,7 @@ class Inputs:
     points: int
     side: str
     folder: Path
+    encoding: str | None = None
 
 
 def inputs(options: argparse.Namespace) -> Inputs:
@@ -62,4 +64,5 @@ def inputs(options: argparse.Namespace) -> Inputs:
         points=options.points or POINTS,
         side=options.side,
         folder=results_folder(options.results, f"{loaded.name}-compensation"),
+        encoding=options.encoding,
     )

@@ -168,15 +168,14 @@ class Designed:
     front: list[Point]
 
 
-def phases(inputs: Inputs) -> dict[str, float]:
-    """Phases of the command with their seconds.
+def phases(inputs: Inputs) -> tuple[str, ...]:
+    """Phases of the command.
 
     Args:
         inputs: what is computed.
     """
-    once = 60.0 if inputs.study.costly else 15.0
-    more = {} if inputs.alone else {STEPS: once, UNSCALED: once}
-    return {READING: 6.0, JOINT: once} | more | ({TRADE: once * inputs.front} if inputs.front else {}) | {WRITING: 10.0}
+    more = () if inputs.alone else (STEPS, UNSCALED)
+    return (READING, JOINT, *more, *([TRADE] if inputs.front else []), WRITING)
 
 
 def compute(inputs: Inputs) -> Designed:

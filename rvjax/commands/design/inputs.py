@@ -5,9 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rvjax import study
+from rvjax._jax.marked import moving
 from rvjax.commands.allocate import kept
 from rvjax.commands.forecast import forewarn
 from rvjax.commands.speak import share_cores
+from rvjax.population import sample
 from rvjax.render import results_folder
 from rvjax.study import Study, StudyError
 from rvjax.tolerances import Memo
@@ -47,7 +49,7 @@ def inputs(options: argparse.Namespace) -> Inputs:
         raise StudyError(f'{loaded.name}: [variable] is missing; add one, such as [variable."cycloid.eccentricity"]')
     if options.front is not None and not 0 <= options.front <= MOST:
         raise ValueError(f"--front {options.front}: must lie between 0 and {MOST}")
-    loaded.design_response()  # raises an error for what these conditions cannot give
+    _refuse_unread(loaded)
     if loaded.costly:
         share_cores(1)
     usual = 0 if loaded.costly else FRONT
@@ -56,3 +58,13 @@ def inputs(options: argparse.Namespace) -> Inputs:
     forewarn(loaded)
     memo = kept.memo(loaded, folder)
     return Inputs(loaded, front, options.alone, folder, memo, options.quiet)
+
+
+def _refuse_unread(asked: Study) -> None:
+    """Raise an error for a variable on which no output depends, and for what the conditions cannot give."""
+    response, errors = asked.design_response(), sample(asked.tolerances, 0, seed=0)
+    start = {path: item.first for path, item in asked.variables.items()}
+    read = moving(lambda values: response(errors, values).value, start)
+    for path in start.keys() - read:
+        outputs = ", ".join(response.response.outputs)
+        raise StudyError(f'{asked.name}: variable."{path}": no required output depends on it ({outputs}); leave it out')

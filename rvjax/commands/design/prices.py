@@ -5,15 +5,15 @@ import math
 import jax
 import jax.numpy as jnp
 
-from rvjax.commands.cells import limit_text
+from rvjax.commands.cells import binding, limit_text
 from rvjax.commands.design.compute import Designed, Point
+from rvjax.outputs import Output
 from rvjax.render import Note
 from rvjax.study import Study, fields_of, stated_by
-from rvjax.units import arcmin, mm, readable
+from rvjax.units import readable, suited, with_unit
 
 BINDING = 1e-6  # least change of the cost, per doubled limit (from 0: per unit it is read in), of a binding limit
-PER = {"m": "mm", "rad": "arcmin", "s": "1000 h"}  # unit of a price of a design number or of a limit
-SIZES = {"mm": mm, "arcmin": arcmin, "1000 h": 3.6e6}
+HOURS = "1000 h", 3.6e6  # the price of one hour of life is small
 
 
 def unit_of_number(study: Study, path: str) -> str:
@@ -26,14 +26,24 @@ def unit_of_number(study: Study, path: str) -> str:
     return str(dict(fields_of(study.design))[path.partition("[")[0]]["unit"])
 
 
-def priced_per(unit: str, read_in: str | None = None) -> tuple[str, float]:
-    """Name and SI size of the unit of a price.
+def per_output(output: Output) -> tuple[str, float]:
+    """Name and SI size of the unit of a price: that in which the study reads the output, of times 1000 h.
 
     Args:
-        unit: SI unit.
-        read_in: unit in which a person reads it, or None.
+        output: that has a price.
     """
-    return (PER[unit], SIZES[PER[unit]]) if unit in PER else readable(unit, read_in)
+    return HOURS if output.unit == "s" else output.shown
+
+
+def per_number(study: Study, path: str) -> tuple[str, float]:
+    """Name and SI size of the unit of the price of a bound: that of the bounds.
+
+    Args:
+        study: with variables.
+        path: of the number.
+    """
+    item = study.variables[path]
+    return suited(max(abs(item.lower), abs(item.upper)), unit_of_number(study, path))
 
 
 def slope(study: Study, found: Point, field: str) -> float:
@@ -49,14 +59,16 @@ def slope(study: Study, found: Point, field: str) -> float:
 
 
 def multiplier(study: Study, point: Point, name: str) -> float:
-    """d cost / d limit, outwards >= 0; 0 for a limit that is not binding but for rounding, nan where it is unknown.
+    """d cost / d limit, outwards >= 0; 0 for a limit that does not bind, nan where it is unknown.
+
+    It does not where the price is rounding, or its interval contains zero.
 
     Args:
         study: with variables.
         point: an optimum.
         name: of the requirement.
     """
-    price = abs(point.found.multipliers.get(name, 0.0))
+    price = abs(binding(point.found, name))
     limits = {**study.requirements, **study.nominal}.get(name)
     sizes = [abs(x) for x in (limits.lower, limits.upper) if math.isfinite(x)] if limits else [1.0]
     size = max(sizes, default=0.0) or study.output(name).shown[1]
@@ -72,14 +84,21 @@ def limit_price(study: Study, point: Point, name: str) -> str:
         name: of the requirement.
     """
     price = multiplier(study, point, name)
-    output = study.output(name)
-    unit, size = priced_per(output.unit, output.read_in)
+    unit, size = per_output(study.output(name))
     if not price > 0:
         return "unknown" if math.isnan(price) else "not binding"
     ends = point.found.multiplier_intervals.get(name)
-    # Outward moves reduce the cost: a multiplier is never positive, but an end of its interval may be.
-    within = "" if ends is None else f" [{max(-ends[1] * size, 0.0):.3g}, {-ends[0] * size:.3g}]"
-    return f"{price * size:.3g}{within} /{unit}".removesuffix(" /-")
+    within = "" if ends is None else f" [{-ends[1] * size:.3g}, {-ends[0] * size:.3g}]"
+    return f"{price * size:.3g}{within}{per(unit)}"
+
+
+def per(unit: str) -> str:
+    """The unit of a price as text, "" for a plain number.
+
+    Args:
+        unit: name of the unit of what has the price.
+    """
+    return "" if unit == "-" else f" /{unit}"
 
 
 def nominal_limit(study: Study, name: str) -> str:
@@ -91,7 +110,7 @@ def nominal_limit(study: Study, name: str) -> str:
     """
     if name not in study.nominal:
         return "-"
-    return f"{limit_text(study.nominal[name], study.output(name))} ".replace(" - ", " ").strip()
+    return limit_text(study.nominal[name], study.output(name))
 
 
 def prices(study: Study, found: Designed) -> Note:
@@ -106,20 +125,18 @@ def prices(study: Study, found: Designed) -> Note:
         (name, size), (what, half_widths) = readable(study.unit(field)), stated_by(study.forms, field)
         said.append((f"1 {name} of the {what} of {field}", -slope(study, joint, field) * size / half_widths))
     for name in joint.found.multipliers:
-        output = study.output(name)
-        unit, size = priced_per(output.unit, output.read_in)
+        unit, size = per_output(study.output(name))
         said.append((f"{_one(unit)} of the limit of {name}", multiplier(study, joint, name) * size))
     for name, per in study.objective.items():
-        output = study.output(name)
-        unit, size = priced_per(output.unit, output.read_in)
+        unit, size = per_output(study.output(name))
         said.append((f"{_one(unit)} of {name}", per(size)))
     for path, price in joint.found.value_prices.items():
-        name, size = priced_per(unit_of_number(study, path))
-        said.append((f"1 {name} of the bound of {path}", abs(price) * size))
+        unit, size = per_number(study, path)
+        said.append((f"{_one(unit)} of the bound of {path}", abs(price) * size))
     lines = [f"  {what}: {price:.3g}" for what, price in said if price and math.isfinite(price)]
     return Note("\n".join(["At the optimum, in the unit of the costs:", *lines]))
 
 
 def _one(unit: str) -> str:
     """One of a unit, as text: "1 mm", "1000 h", "1"."""
-    return unit if unit[0].isdigit() else f"1 {unit}".removesuffix(" -")
+    return unit if unit[0].isdigit() else with_unit(1, unit)

@@ -22,7 +22,16 @@ from rvjax.commands.design.compute import Designed
 from rvjax.commands.design.data import data
 from rvjax.commands.design.figures import figures
 from rvjax.commands.design.inputs import Inputs
-from rvjax.commands.design.prices import limit_price, nominal_limit, priced_per, prices, slope, unit_of_number
+from rvjax.commands.design.prices import (
+    limit_price,
+    nominal_limit,
+    per,
+    per_number,
+    per_output,
+    prices,
+    slope,
+    unit_of_number,
+)
 from rvjax.render import (
     Column,
     Interval,
@@ -37,7 +46,7 @@ from rvjax.render import (
     leading_comment,
 )
 from rvjax.study import Study, fields_of, number_at, outside, shown, stated_by
-from rvjax.units import readable
+from rvjax.units import readable, with_unit
 
 
 def report(inputs: Inputs, found: Designed) -> Report:
@@ -155,7 +164,7 @@ def numbers(study: Study, found: Designed) -> Table:
     meanings = dict(fields_of(study.design))
     for path, item in study.variables.items():
         unit, value = unit_of_number(study, path), joint.values.get(path, math.nan)
-        name, size = priced_per(unit)
+        name, size = per_number(study, path)
         price, bound = joint.value_prices.get(path, 0.0), joint.bounds_active.get(path)
         kept = joint.ranges.get(path)
         rows.append(
@@ -166,7 +175,7 @@ def numbers(study: Study, found: Designed) -> Table:
                 f"{shown(item.lower, unit)} to {shown(item.upper, unit)}",
                 *(["-" if kept is None else f"{shown(kept[0], unit)} to {shown(kept[1], unit)}"] if ranges else []),
                 bound or "-",
-                f"{abs(price) * size:.3g} /{name}" if bound and price and math.isfinite(price) else "-",
+                f"{abs(price) * size:.3g}{per(name)}" if bound and price and math.isfinite(price) else "-",
             ]
         )
     missing = [path for path, item in study.variables.items() if ranges and item.free and path not in joint.ranges]
@@ -216,12 +225,10 @@ def _requirements(study: Study, found: Designed) -> Iterator[Table]:
             unit, size = output.shown
             limit = nominal_limit(study, name)
             price = limit_price(study, found.joint, name)
-            values = [
-                f"{side[name] / size:.5g} {unit}".removesuffix(" -") for side in (found.start, found.joint.outputs)
-            ]
+            values = [with_unit(side[name] / size, unit, ".5g") for side in (found.start, found.joint.outputs)]
             if name in study.objective:
-                named, size = priced_per(output.unit, output.read_in)
-                price = f"{study.objective[name](size):.3g} /{named}"
+                named, size = per_output(output)
+                price = f"{study.objective[name](size):.3g}{per(named)}"
             rows.append([Titled(name, output.meaning), limit, *values, price])
         yield Table("nominal", columns, rows)
 
@@ -230,9 +237,8 @@ def _helping(study: Study, path: str, side: str) -> str:
     """Bound of a number that an infeasible study should move outwards, in the unit of the number."""
     unit, size = readable(unit_of_number(study, path))
     bound = getattr(study.variables[path], side) / size
-    return f"a {'lower' if side == 'lower' else 'higher'} {side} bound of {path} than {bound:.6g} {unit}".removesuffix(
-        " -"
-    )
+    sense = "lower" if side == "lower" else "higher"
+    return f"a {sense} {side} bound of {path} than {with_unit(bound, unit, '.6g')}"
 
 
 def others(study: Study, found: Designed) -> Iterator[Table | Note]:

@@ -46,13 +46,13 @@ def _of_units(unit: _Joined, population: Population, z: jax.Array) -> running.Jo
     return jax.vmap(lambda z: unit(population.errors(z)), in_axes=-1)(z)
 
 
-def phases(inputs: Inputs) -> dict[str, float]:
-    """Phases of the command; their times are not known before.
+def phases(inputs: Inputs) -> tuple[str, ...]:
+    """Phases of the command.
 
     Args:
         inputs: what is computed.
     """
-    return dict.fromkeys((READING, SOLVING, WRITING), 0.0)
+    return (READING, SOLVING, WRITING)
 
 
 def compute(inputs: Inputs) -> tuple[running.Joint, Header]:

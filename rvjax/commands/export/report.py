@@ -36,5 +36,5 @@ def report(inputs: Inputs, found: tuple[Joint, Header]) -> Report:
         data={"study": header.study, "unit": header.unit, "format": inputs.form} | numbers,
         exports={inputs.file: content},
         told={"file": str(inputs.file)},
-        closing=(f"{inputs.file}: {inputs.form}",),
+        closing=(f"{inputs.file}: {inputs.form}", *filter(None, [FORMATS[inputs.form].remark(joint)])),
     )

@@ -2,10 +2,11 @@
 
 from rvjax.commands.identify.compute import Identified as Identified, answer as answer, check as check
 from rvjax.commands.identify.words import (
-    direction_lines as direction_lines,
+    combinations as combinations,
     elements as elements,
     headline as headline,
     in_words as in_words,
     next_lines as next_lines,
+    rounded as rounded,
     verdict_line as verdict_line,
 )

@@ -81,6 +81,13 @@ class Identified:
         return None if self.batch is None else not any(status in REJECTED for status in self.batch.status)
 
     @property
+    def converged(self) -> bool:
+        """True if every unit has the status CONVERGED: one solution, whose intervals hold."""
+        found = [] if self.posterior is None else [self.posterior.status]
+        found += [] if self.batch is None else self.batch.status
+        return all(status == "CONVERGED" for status in found)
+
+    @property
     def findings(self) -> dict[str, tuple[Finding, ...]]:
         """Findings of every measurement, by unit and conditions."""
         kind, found = KINDS[self.problem.kind], {}
@@ -101,14 +108,14 @@ class Identified:
         return [name for name in self.check.names if self.check.resolution[name] < WITHOUT]
 
 
-def phases(inputs: Inputs) -> dict[str, float]:
-    """Phases of the command; their times are not known before.
+def phases(inputs: Inputs) -> tuple[str, ...]:
+    """Phases of the command.
 
     Args:
         inputs: what is computed.
     """
     coming = (SEEING, RANKING) if inputs.check else (SEEING, FITTING, RANKING, WRITING)
-    return dict.fromkeys((READING, *coming), 0.0)
+    return (READING, *coming)
 
 
 def compute(inputs: Inputs) -> "Identified":

@@ -86,7 +86,8 @@ def _elements(found: Identified) -> "Axes":
     ends = [elements({f: reached[f][k] for f in prior}) for k in range(len(SIDES))]
     sides = (posterior.value, posterior.lower, posterior.upper)
     value, lower, upper = (elements({f: side[f] for f in prior}) for side in sides)
-    limits = {f: (float(t.lower), float(t.upper)) for f, t in prior.items()}
+    # The tolerance of a vector limits its length: each component lies within it on both sides.
+    limits = {f: (-float(t.upper) if t.is_vector else float(t.lower), float(t.upper)) for f, t in prior.items()}
     names = sorted(value, key=lambda name: -found.check.resolution[name])
     return rvjax.plotting.identified.elements(
         names,

@@ -38,9 +38,9 @@ def inputs(options: argparse.Namespace) -> Inputs:
     Raises:
         ValueError: one line that names the option, the key or the cell.
     """
-    loaded = study.load(options.study, solve=False)
+    loaded = study.load(options.study, solve=False, needs=("design", "tolerances"))
     columns = identification_of(loaded).columns
-    data = read_measured(options.data, columns) if options.data else None
+    data = read_measured(options.data, columns, encoding=options.encoding) if options.data else None
     if data is None and not options.check:
         raise ValueError("no data: name at least one CSV file, or use --check for the identifiability")
     folder = None if options.check else results_folder(options.results, loaded.name)

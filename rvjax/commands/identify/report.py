@@ -15,13 +15,16 @@ from rvjax.commands.identify.figures import figures
 from rvjax.commands.identify.head import head_of
 from rvjax.commands.identify.inputs import Inputs
 from rvjax.commands.identify.words import (
-    direction_lines,
+    Combination,
+    combinations,
+    doubts,
     elements,
     field_of,
     head_lines,
     headline,
     next_lines,
     shares_text,
+    unit_of,
     verdict_line,
 )
 from rvjax.render import (
@@ -45,8 +48,8 @@ from rvjax.render import (
     Value,
     leading_comment,
 )
-from rvjax.study import NUISANCES, field_unit, part_orders
-from rvjax.units import KNOWN, arcsec, readable
+from rvjax.study import field_unit, part_orders
+from rvjax.units import arcsec
 
 MOST_ROWS, MOST_ON_PAGE, MOST_UNITS = 60, 40, 6
 SEEN = 1e-3  # resolution of the elements that a table of text lists
@@ -62,7 +65,7 @@ def report(inputs: Inputs, found: Identified) -> Report:
         found: its result.
     """
     study, drawn = inputs.study, {figure.name: figure for figure in figures(found)}
-    mark = {None: "", True: "✔ ", False: "✘ "}[found.adequate]
+    mark = {None: "", True: "✔ " if found.converged else "⚠ ", False: "✘ "}[found.adequate]
     title, *more = headline(found).split("\n")
     command = " ".join(["rvjax identify", *(shlex.quote(name) for name in (inputs.source, *inputs.paths))])
     return Report(
@@ -106,8 +109,8 @@ def _content(found: Identified, drawn: dict[str, Figure]) -> list[Content]:
     unknown = f"The data do not determine {', '.join(silent)}: only the limits of the drawing are known."
     said = [verdict_line(found), *([unknown] if silent else [])]
     content: list[Content] = [Note(headline(found), only_text), Note("\n".join(said), only_text)]
-    if doubts := measurement.warnings(found.findings):
-        content.append(Note("\n".join(doubts)))
+    if warned := [*doubts(found), *measurement.warnings(found.findings)]:
+        content.append(Note("\n".join(warned)))
     if curves := [figure for name, figure in drawn.items() if name.startswith(("curve_", "loop"))]:
         points = (
             "Points: measured values without order 1 (and without their mean, if the study has no offset). The band "
@@ -128,7 +131,7 @@ def _content(found: Identified, drawn: dict[str, Figure]) -> list[Content]:
         shares = [f"  {group}: {shares_text(fields)}" for group, fields in found.posterior.shares.items()]
         text = Note("\n".join(["Shares of the errors in the curve (negative: cancels others):", *shares]), only_text)
         content.append(Section("Shares of the errors", (text, *_named(drawn, "shares"))))
-    if rest := _doubts(found):
+    if rest := _fit_lines(found):
         content.append(Note("\n".join(rest), only_text))
     if coming := next_lines(found):
         more = "One more run, and its information about the parts (a nat: some uncertainty divided by 2.7):"
@@ -144,7 +147,7 @@ def _named(drawn: dict[str, Figure], name: str) -> list[Figure]:
 
 def _seen(found: Identified) -> Note:
     """Combinations that the data see, and pairs that they cannot separate."""
-    lines = [f"  only {line}" for line in direction_lines(found)] or ["  nothing beyond the drawing"]
+    lines = [f"  {combination.text()}" for combination in combinations(found)] or ["  nothing beyond the drawing"]
     lines.insert(0, "Combinations that the data determine, strongest first:")
     if alone := _part_orders(found):
         orders = ", ".join(map(str, alone))
@@ -162,16 +165,13 @@ def _part_orders(found: Identified) -> tuple[int, ...]:
     return part_orders(found.study.design, found.problem.identification.orders) if found.problem.kind == "curve" else ()
 
 
-def _doubts(found: Identified) -> list[str]:
-    """Largest residuals, and warnings on the intervals."""
+def _fit_lines(found: Identified) -> list[str]:
+    """Largest residuals, and whether draws agree."""
     lines = []
     if found.posterior is not None:
         lines.append(f"Largest residuals: {', '.join(map(str, found.posterior.fit.worst[:3]))}")
-        if found.posterior.status == "LAPLACE_DOUBTFUL":
-            lines.append("The intervals are doubtful (a kink or a bound is near): run again with --sample.")
-    if found.draws is not None:
-        fine = "agree" if found.draws.trusted else "do NOT agree: another mode, or more draws are needed"
-        lines.append(f"Sampled: chains {fine}, largest r_hat {np.max(found.draws.r_hat):.4f}")
+    if found.draws is not None and found.draws.trusted:
+        lines.append(f"Sampled: chains agree, largest r_hat {np.max(found.draws.r_hat):.4f}")
     return lines
 
 
@@ -229,7 +229,7 @@ def _elements(found: Identified) -> list[Table | Note]:
     fields = posterior and [elements(x) for x in (posterior.value, posterior.lower, posterior.upper)]
     rows = []
     for name in sorted(check.names, key=lambda name: -check.resolution[name]):
-        row: list[Cell] = [name, _unit(found, name)[1], str(check.verdict[name]), max(check.resolution[name], 0.0)]
+        row: list[Cell] = [name, unit_of(found, name)[1], str(check.verdict[name]), max(check.resolution[name], 0.0)]
         if posterior is not None and fields:
             value = _quantity(found, name, *(values[name] for values in fields))
             row += [value, value, posterior.broken.get(name, 0.0)]
@@ -246,17 +246,8 @@ def _elements(found: Identified) -> list[Table | Note]:
     ]
 
 
-def _unit(found: Identified, name: str) -> tuple[str, str, float]:
-    """SI unit of an element, and name and size of the unit in which a person reads it."""
-    field = field_of(name)
-    unit = field_unit(found.study.design, field)
-    if field in NUISANCES and unit == "rad":
-        return unit, "arcsec", arcsec
-    return (unit, "N/um", KNOWN["N/m"]["N/um"]) if unit == "N/m" else (unit, *readable(unit))
-
-
 def _quantity(found: Identified, name: str, value: float, lower: float, upper: float) -> Quantity:
-    unit, shown, _ = _unit(found, name)
+    unit, shown, _ = unit_of(found, name)
     return Quantity(value, unit, lower, upper, shown)
 
 
@@ -268,7 +259,7 @@ def _units(found: Identified) -> Table:
     own = [n for n in own if field_of(n) not in found.problem.nuisance]
     columns: list[Column] = [Text("unit"), Text("status"), Number("p model", form=".3g"), Number("p prior", form=".3g")]
     for k, name in enumerate(own):
-        shown = _unit(found, name)[1]
+        shown = unit_of(found, name)[1]
         ends = f"{name} lower [{shown}]", f"{name} upper [{shown}]"
         on = EVERYWHERE if k < MOST_UNITS else frozenset({CSV})
         columns.append(Interval(name, ends=ends, file_title=f"{name} [{shown}]", on=on))
@@ -300,7 +291,7 @@ def _data(found: Identified) -> dict[str, object]:
     said |= {
         "verdict": check.verdict,
         "resolution": check.resolution,
-        "directions": [{"information": d.information, "loadings": d.loadings} for d in check.directions],
+        "directions": [_direction(*pair) for pair in zip(check.directions, combinations(found))],
         "inseparable": check.inseparable,
         "silent": found.silent,
         "part_orders": _part_orders(found),
@@ -323,6 +314,12 @@ def _data(found: Identified) -> dict[str, object]:
     said |= {"noise": found.problem.sd, "runs": [run.text() for run in found.problem.runs]}
     said |= {"notes": list(found.problem.notes)} if found.problem.notes else {}
     return said | {"seed": found.study.seed, "versions": versions()}
+
+
+def _direction(own: identify.Direction, named: Combination) -> dict[str, object]:
+    said: dict[str, object] = {"information": own.information, "loadings": own.loadings}
+    value, numbers = named.value, ("value", "lower", "upper", "unit")
+    return said | {"terms": named.terms, "rest": named.rest} | {key: getattr(value, key, None) for key in numbers}
 
 
 def _fit(fit: identify.Fit, k: int | None = None) -> dict[str, object]:

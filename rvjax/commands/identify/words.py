@@ -2,17 +2,49 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
+from rvjax import identify
 from rvjax._ground.columns import element, place_of
 from rvjax.commands.identify.compute import Identified
 from rvjax.commands.identify.head import CONSISTENT, Head
 from rvjax.records import PyTree
-from rvjax.units import arcsec, deg
+from rvjax.render import Quantity
+from rvjax.study import NUISANCES, field_unit
+from rvjax.units import KNOWN, arcsec, deg, readable
 
 SHOWN = 0.3  # loadings below this share of the largest are not part of a combination in words
-EQUAL = 0.1  # loadings that differ less count as one
+EQUAL = 0.1  # factors that differ less count as one
+MOST_TERMS = 8  # elements that a combination in words names
+MOST_LEFT = 3  # fields of the rest that it names
+
+
+@dataclass(frozen=True)
+class Combination:
+    """Elements that the data determine together.
+
+    Attributes:
+        terms: {element: factor} of those that its words name, the largest factor 1; empty where they are many.
+        rest: {field: share of the square of the combination} of others that move it more than it is known to.
+        known: standard deviation after the measurement, in that of the drawing.
+        value: of the sum of the terms; None without data, without terms or for terms of several units.
+    """
+
+    terms: dict[str, float]
+    rest: dict[str, float]
+    known: float
+    value: Quantity | None
+
+    def text(self) -> str:
+        """The combination in a line."""
+        shares = [f"{name.replace('_', ' ')} {100 * share:.3g} %" for name, share in self.rest.items()]
+        rest = ", ".join([*shares[:MOST_LEFT], *([".."] if len(shares) > MOST_LEFT else [])])
+        said = in_words(self.terms) if self.terms else rest + " of its square"
+        said += f" = {self.value.text()}" if self.value else ""
+        said += f" with {rest} of its square" if self.terms and rest else ""
+        return f"{said}: to {100 * self.known:.3g} % of the range of the drawing"
 
 
 def field_of(name: str) -> str:
@@ -20,22 +52,85 @@ def field_of(name: str) -> str:
     return place_of(name)[0]
 
 
-def in_words(loadings: Mapping[str, float]) -> str:
-    """A combination as a person writes it: "crank eccentricity [0,0] - [0,1] - [1,0] + [1,1]"."""
-    largest = max(map(abs, loadings.values()))
-    terms = {name: size for name, size in loadings.items() if abs(size) >= SHOWN * largest}
-    alike = all(abs(abs(size) - largest) <= EQUAL * largest for size in terms.values())
-    lead = 1.0 if next(iter(terms.values())) > 0 else -1.0
+def unit_of(answer: Identified, name: str) -> tuple[str, str, float]:
+    """SI unit of an element, and name and size of the unit in which a person reads it.
+
+    Args:
+        answer: with its study.
+        name: of the element.
+    """
+    field = field_of(name)
+    unit = field_unit(answer.study.design, field)
+    if field in NUISANCES and unit == "rad":
+        return unit, "arcsec", arcsec
+    return (unit, "N/um", KNOWN["N/m"]["N/um"]) if unit == "N/m" else (unit, *readable(unit))
+
+
+def in_words(terms: Mapping[str, float]) -> str:
+    """A sum as a person writes it: "crank eccentricity [0,0] - [0,1] - [1,0] + [1,1]".
+
+    Args:
+        terms: {element: factor}.
+    """
+    alike = all(abs(size) == 1 for size in terms.values())
     said, field = "", ""
     for name, size in terms.items():
         own = field_of(name)
         place = name[len(own) :]
-        factor = "" if alike else f"{abs(size) / largest:.2g} "
+        factor = "" if alike else f"{abs(size):.2g} "
         shown = place if own == field and place else " ".join([own.replace("_", " "), place]).strip()
-        sign = "-" if lead * size < 0 else "+"
+        sign = "-" if size < 0 else "+"
         said += f" {sign} {factor}{shown}" if said else f"{factor}{shown}"
         field = own
     return said
+
+
+def combinations(answer: Identified) -> list[Combination]:
+    """Combinations that the data determine, strongest first."""
+    prior = answer.problem.prior.items()
+    sd = elements({name: np.broadcast_to(np.sqrt(own.moments()[1]), own.shape) for name, own in prior})
+    return [_combination(answer, direction, sd) for direction in answer.check.directions]
+
+
+def _combination(answer: Identified, direction: identify.Direction, sd: Mapping[str, float]) -> Combination:
+    square = {name: size**2 for name, size in direction.loadings.items()}
+    whole, largest = sum(square.values()), max(square.values())
+    named = [name for name in square if square[name] >= SHOWN**2 * largest]
+    named = named if len(named) <= MOST_TERMS else []
+    units = {unit_of(answer, name)[0] for name in named}
+    terms = {name: direction.loadings[name] / (sd[name] if len(units) == 1 else 1.0) for name in named}
+    rest: dict[str, float] = {}
+    for name in square.keys() - terms.keys():
+        rest[field_of(name)] = rest.get(field_of(name), 0.0) + square[name] / whole
+    known = 1 / math.sqrt(1 + direction.information)
+    seen = sorted((name for name in rest if rest[name] > known**2), key=lambda name: (-rest[name], name))
+    terms = rounded(terms)
+    value = _value(answer, terms) if len(units) == 1 and answer.posterior is not None else None
+    return Combination(terms, {name: rest[name] for name in seen}, known, value)
+
+
+def rounded(terms: Mapping[str, float]) -> dict[str, float]:
+    """Factors as they are written, the largest 1 and the first positive."""
+    largest = max(map(abs, terms.values()), default=1.0)
+    lead = math.copysign(largest, next(iter(terms.values()), 1.0))
+    sizes = {name: float(f"{size / lead:.2g}") for name, size in terms.items()}
+    if all(abs(size) >= 1 - EQUAL for size in sizes.values()):
+        return {name: math.copysign(1.0, size) for name, size in sizes.items()}
+    return sizes
+
+
+def _value(answer: Identified, terms: Mapping[str, float]) -> Quantity:
+    """A sum of elements with its interval, from the normal distribution about the mode."""
+    found = answer.posterior
+    assert found is not None
+    value, lower, upper = (elements(x) for x in (found.value, found.lower, found.upper))
+    places = [found.names.index(name) for name in terms]
+    half = np.array([factor * (upper[name] - lower[name]) / 2 for name, factor in terms.items()])
+    half /= np.asarray(found.u_sd)[places]
+    spread = math.sqrt(max(half @ np.asarray(found.u_covariance)[np.ix_(places, places)] @ half, 0.0))
+    total = sum(factor * value[name] for name, factor in terms.items())
+    unit, shown, _ = unit_of(answer, next(iter(terms)))
+    return Quantity(total, unit, total - spread, total + spread, shown)
 
 
 def elements(structure: Mapping[str, PyTree]) -> dict[str, float]:
@@ -48,12 +143,19 @@ def elements(structure: Mapping[str, PyTree]) -> dict[str, float]:
     return found
 
 
-def direction_lines(answer: Identified) -> list[str]:
-    """Describe what the data identify, strongest first."""
-    lines = []
-    for direction in answer.check.directions:
-        left = 1 / math.sqrt(1 + direction.information)
-        lines.append(f"{in_words(direction.loadings)}: to {100 * left:.3g} % of the range of the drawing")
+def doubts(answer: Identified) -> list[str]:
+    """Reasons not to trust values and intervals as they are, each with what to do."""
+    found, lines, more = answer.posterior, [], "" if answer.draws else "; run again with --sample"
+    if found is not None and found.modes:
+        heavy = [f"{100 * mode.weight:.3g} %" for mode in found.modes if mode.weight > identify.FAINT]
+        if len(heavy) > 1:
+            shared = f"{len(heavy)} solutions explain the data, with the probabilities {', '.join(heavy)}"
+            lines.append(f"warning: {shared}: values and intervals are those of the first{more}")
+        if not (k := found.laplace.pareto_k) <= identify.MOST_PARETO:
+            lines.append(f"warning: Pareto k = {k:.2g}, above {identify.MOST_PARETO}: the intervals do not hold{more}")
+    if answer.draws is not None and not answer.draws.trusted:
+        r_hat = float(np.max(answer.draws.r_hat))
+        lines.append(f"warning: sampled chains do not agree (r_hat {r_hat:.4f}): another mode, or too few draws")
     return lines
 
 

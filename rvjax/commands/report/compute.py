@@ -20,7 +20,7 @@ from rvjax.render import Content, Figure, Report, Section
 from rvjax.response import begin_programs, is_costly, parts
 from rvjax.study import Study
 
-SLIDERS, WRITING = "numbers behind the sliders", "the page"
+SLIDERS, SECTIONS, WRITING = "numbers behind the sliders", "sections of the page", "the page"
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Shown:
 
     Attributes:
         answer: result of the study.
-        surrogate: behind the sliders, None where nothing can move.
+        surrogate: behind the sliders, None where nothing can move, or without sliders.
         budget: on that of the allocated tolerances, None where the study has none.
         bearings: on their lives with the allocated tolerances, None where the study requires none.
         friction: on losses with the allocated tolerances, None where the study requires none.
@@ -46,17 +46,16 @@ class Shown:
     drawn: tuple[Figure, ...] = ()
 
 
-def phases(inputs: Inputs) -> dict[str, float]:
-    """Phases of the command with their seconds.
+def phases(inputs: Inputs) -> tuple[str, ...]:
+    """Phases of the command.
 
     Args:
         inputs: what is computed.
     """
     if inputs.shown:
-        return {}
-    if inputs.answer is None:
-        return phases_of(inputs.study, READING, SLIDERS, WRITING)
-    return {READING: 1.0, SLIDERS: 10.0, WRITING: 1.0}
+        return ()
+    after = SLIDERS if inputs.sliders else SECTIONS, WRITING
+    return phases_of(READING, *after) if inputs.answer is None else (READING, *after)
 
 
 def compute(inputs: Inputs) -> Shown | None:
@@ -70,18 +69,19 @@ def compute(inputs: Inputs) -> Shown | None:
 
 def _shown(inputs: Inputs) -> Shown:
     found = inputs.answer or answer.answer(inputs.study, progress=not inputs.quiet)
-    progress.begin(SLIDERS)
+    progress.begin(SLIDERS if inputs.sliders else SECTIONS)
     begin_lives(inputs.study, found.allocation.tolerances)
     begin_losses(inputs.study, found.allocation.tolerances)
     response, population = found.study.response(), Population.of(found.after.tolerances)
-    for part in parts(response, population) if inputs.answer is not None else ():  # else this process has the programs
+    needed = inputs.sliders and inputs.answer is not None  # else this process has the programs
+    for part in parts(response, population) if needed else ():
         if is_costly(part.response):
             begin_programs(part.response, population, slopes=True)
     design, drawn = design_section(found.study), tuple(figures(found))
     _begin((design, *drawn))
     with ThreadPoolExecutor(1) as other:  # each works on the host while the devices solve units of the other
         sections = other.submit(_sections, inputs.study, found.allocation.tolerances)
-        moved = behind.surrogate(found)
+        moved = behind.surrogate(found) if inputs.sliders else None
         bearings, friction, budget = sections.result()
     progress.begin(WRITING)
     return Shown(found, moved, budget, bearings, friction, design, drawn)

@@ -26,6 +26,7 @@ class Inputs:
         kept: this folder, or None.
         output: file of the page, None for `report.html` in the folder of the result.
         shown: whether this file shows the stored result already.
+        sliders: whether the page has sliders: if required, and where a unit takes no millisecond.
         folder: of the results, made for a new result without `output`.
         quiet: show no progress.
     """
@@ -36,6 +37,7 @@ class Inputs:
     kept: Path | None
     output: Path | None
     shown: bool
+    sliders: bool
     folder: Path | None
     quiet: bool
 
@@ -58,30 +60,35 @@ def inputs(options: argparse.Namespace) -> Inputs:
     if output is not None:
         check_writable(output)
     forewarn(loaded, expected(loaded))
-    shown = kept is not None and output is not None and not options.fresh and shows(output, kept, options.study)
-    return Inputs(loaded, options.study, answer, kept, output, shown, folder, options.quiet)
+    sliders = options.sliders or not loaded.costly
+    there = kept is not None and output is not None and shows(output, kept, options.study, sliders)
+    shown = there and not options.fresh
+    return Inputs(loaded, options.study, answer, kept, output, shown, sliders, folder, options.quiet)
 
 
-def mark(result: bytes, source: str) -> bytes:
-    """Last line of a page: which stored result it shows, by which version of rvjax.
+def mark(result: bytes, source: str, sliders: bool) -> bytes:
+    """Last line of a page: which stored result it shows, by which version of rvjax, and whether with sliders.
 
     Args:
         result: content of the stored result.
         source: of the study, as named.
+        sliders: whether it has them.
     """
     digest = hashlib.sha256(result + f"{source} {rvjax.__version__}".encode())
-    return f"<!-- result {digest.hexdigest()} -->\n".encode()
+    return f"<!-- result {digest.hexdigest()}{' with sliders' if sliders else ''} -->\n".encode()
 
 
-def shows(page: Path, folder: Path, source: str) -> bool:
+def shows(page: Path, folder: Path, source: str, sliders: bool) -> bool:
     """True if a page shows the result that a folder stores.
 
     Args:
         page: file that may exist.
         folder: of a result.
         source: of the study, as named.
+        sliders: whether it must have them.
     """
     try:
-        return page.read_bytes().endswith(mark((folder / FILE).read_bytes(), source))
+        result = (folder / FILE).read_bytes()
+        return page.read_bytes().endswith(tuple(mark(result, source, own) for own in {True, sliders}))
     except OSError:
         return False

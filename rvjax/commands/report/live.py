@@ -3,6 +3,7 @@
 import base64
 import json
 import math
+import shlex
 from importlib import resources
 from typing import Any
 
@@ -12,7 +13,7 @@ from markupsafe import Markup
 from rvjax._ground.lines import words
 from rvjax.commands.allocate import Answer
 from rvjax.commands.report.surrogate import COMPARED, Surrogate, grows_from_lower, placed
-from rvjax.render import Block, micro
+from rvjax.render import Block, Note, Section, micro
 from rvjax.study import stated_by, study_template
 from rvjax.tolerances import Cost, CpkAtLeast, Exponential, Limits, MeanWithin, ReciprocalPower, Requirement, SdAtMost
 from rvjax.units import readable
@@ -35,6 +36,16 @@ def block(found: Surrogate, answer: Answer) -> Block:
         "own": found.compared == "own",
     }
     return Block("rvjax.commands.report:live.html.j2", facts)
+
+
+def without(source: str) -> Section:
+    """The section of a page of a costly study without sliders.
+
+    Args:
+        source: of the study, as named.
+    """
+    command = f"rvjax report {shlex.quote(source)} --sliders"
+    return Section("What if", (Note(f"{command} adds sliders for tolerances and limits, which takes minutes."),))
 
 
 def script(found: Surrogate, answer: Answer) -> Markup:
@@ -191,6 +202,7 @@ def _response(name: str, found: Surrogate, answer: Answer) -> dict[str, Any]:
         if limit is not None:
             room = max(0.5 * abs(limit), spread) if requirement.limits_values else 0.5 * limit
             ranges[end] = [limit - room, limit + room]
+    possible = bool(np.min(found.base[name]) >= 0) and all(limit is None or limit >= 0 for limit in own.values())
     shares = {field: share for field, share in answer.after.shares[name].items() if math.isfinite(share)}
     return {
         "name": name,
@@ -202,6 +214,7 @@ def _response(name: str, found: Surrogate, answer: Answer) -> dict[str, Any]:
         "limits_values": requirement.limits_values,
         "own": own,
         "range": ranges,
+        "floor": 0.0 if possible else None,  # of values: no unit is below, so none of a parabola is plotted there
         "wanted": getattr(requirement, requirement.goal) if requirement.goal else None,
         "required": requirement.text(),
         "shares": shares,

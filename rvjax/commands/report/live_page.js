@@ -82,12 +82,15 @@ function startLive(section, data) {
     const ends = [y, start.y[k]].flatMap(Live.ends);
     if (data.responses[k].limits_values) ends.push(...Object.values(at.limits[k]).filter((limit) => limit !== null));
     const low = Math.min(...ends), high = Math.max(...ends), room = 0.04 * (high - low || 1);
-    return [low - room, high + room];
+    const floor = data.responses[k].floor;
+    return [floor === null ? low - room : Math.max(floor, low - room), high + room];
   }
 
   function drawn(k, found) {
-    const { svg, bars } = judged[k], response = data.responses[k], y = found.y[k], ends = span(k, y);
-    const [now, was] = [y, start.y[k]].map((list) => Live.counted(list, data.weights, ends, BINS));
+    const { svg, bars } = judged[k], response = data.responses[k];
+    const possible = (list) => (response.floor === null ? list : list.map((value) => Math.max(response.floor, value)));
+    const y = possible(found.y[k]), ends = span(k, y);
+    const [now, was] = [y, possible(start.y[k])].map((list) => Live.counted(list, data.weights, ends, BINS));
     const top = Math.max(...now, ...was);
     const steps = (bins, close) => {
       let path = close ? `M0 ${HIGH}` : "M0 " + (HIGH * (1 - bins[0] / top)).toFixed(1);

@@ -46,6 +46,7 @@ from rvjax.render import (
 )
 from rvjax.status import MEANING, Status
 from rvjax.tolerances import Estimate
+from rvjax.units import with_unit
 
 
 def report(inputs: Inputs, found: Shown | None) -> Report:
@@ -65,7 +66,7 @@ def report(inputs: Inputs, found: Shown | None) -> Report:
     made = report_on(found.answer)
     content = page_of(found, inputs.source, date=time.strftime("%Y-%m-%d")).encode("utf-8")
     stored = made.files[FILE] if inputs.kept is None else (inputs.kept / FILE).read_bytes()
-    content += mark(stored, inputs.source)
+    content += mark(stored, inputs.source, inputs.sliders)
     brief = headline(found.answer)
     if inputs.output is not None:
         path = inputs.output
@@ -89,6 +90,7 @@ def page_of(found: Shown, source: str, *, date: str = "") -> str:
     result = Section("Result", (requirement_table(answer), *unlimited, *tolerance_tables(answer)))
     sections: list[Content] = [result, _requirements(answer, drawn), _tolerances(drawn)]
     sections += [live.block(found.surrogate, answer)] if found.surrogate else []
+    sections += [live.without(source)] if study.costly and not found.surrogate else []
     sections += [found.design or design_section(study), _influence(answer, drawn)]
     sections += [section for section in (found.budget, found.bearings, found.friction) if section]
     sections += [_worst(answer, drawn), _levels(answer)]
@@ -222,8 +224,8 @@ def _levels(answer: Answer) -> Section:
     rows = []
     for name, choice in (given | study.choices()).items():
         unit, size = study.output(name).shown
-        wanted = f"{study.accuracy[name] / size:.3g} {unit}" if name in study.accuracy else None
-        bound = None if choice.bound is None else f"< {float(f'{choice.bound / size:.2g}'):g} {unit}"
+        wanted = with_unit(study.accuracy[name] / size, unit, ".3g") if name in study.accuracy else None
+        bound = None if choice.bound is None else f"< {with_unit(float(f'{choice.bound / size:.2g}'), unit, 'g')}"
         spent = None if choice.ns is None else f"{choice.ns / 1e3:.3g} us"
         rows.append([Titled(name, study.output(name).meaning), choice.level, wanted, bound, spent, choice.why])
     short = [Text(title) for title in ("required accuracy", "its error", "time of a unit")]

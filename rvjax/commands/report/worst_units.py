@@ -11,7 +11,7 @@ from rvjax.population import Population, root_key
 from rvjax.response import elements, numbers_of
 from rvjax.status import MEANING, Status
 from rvjax.tolerances import Limits
-from rvjax.units import readable
+from rvjax.units import readable, with_unit
 
 EACH = 2  # worst units of a requirement
 SHARE_SHOWN = 0.01  # of the variance: errors below it are not listed for a worst unit
@@ -82,7 +82,7 @@ def rows_of(answer: Answer, unit: WorstUnit) -> dict[str, object]:
         fields, title = study.fields, f"Unit {unit.index:,} failed"
         reason = f"status {unit.status}: {MEANING[Status[unit.status]]}"
     responses = "; ".join(
-        f"{name.replace('_', ' ')} {value / size:.4g} {shown}" if np.isfinite(value) else f"{name.replace('_', ' ')} -"
+        f"{name.replace('_', ' ')} {with_unit(value / size, shown) if np.isfinite(value) else '-'}"
         for name, value in unit.values.items()
         for shown, size in [study.output(name).shown]
     )
@@ -94,7 +94,7 @@ def rows_of(answer: Answer, unit: WorstUnit) -> dict[str, object]:
         middle, half = float(tolerance.middle), float(tolerance.half_width)
         shown, size = readable(study.unit(field))
         places = (values - middle) / half if half > 0 else np.zeros_like(values)
-        largest = f"{values[int(np.argmax(np.abs(places)))] / size:+.2f} {shown}"
+        largest = with_unit(values[int(np.argmax(np.abs(places)))] / size, shown, "+.2f")
         rows.append({"name": field, "places": [float(x) for x in places], "value": largest})
     return {"title": title, "said": f"{responses}; {reason}", "rows": rows}
 
@@ -110,5 +110,5 @@ def against_limit(value: float, requirement: Limits, output: Output) -> str:
     unit, size = output.shown
     beyond = {"below": requirement.lower - value, "above": value - requirement.upper}
     side = max(beyond, key=lambda name: beyond[name])
-    limit = f"{(requirement.lower if side == 'below' else requirement.upper) / size:.4g} {unit}"
-    return f"{value / size:,.4g} {unit}, {side if beyond[side] > 0 else 'limit'} {limit}"
+    limit = with_unit((requirement.lower if side == "below" else requirement.upper) / size, unit)
+    return f"{with_unit(value / size, unit, ',.4g')}, {side if beyond[side] > 0 else 'limit'} {limit}"

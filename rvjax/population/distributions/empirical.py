@@ -7,11 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
 
-from rvjax._ground.choices import unknown
 from rvjax._ground.columns import read_table
 from rvjax.population.distribution import Distribution, Moments, bad
 from rvjax.records import IN_ERROR_UNIT, Array, Scalar, concrete, field, is_concrete, record
-from rvjax.units import KNOWN, recognised
+from rvjax.units import KNOWN, recognised, unknown_unit
 
 if TYPE_CHECKING:
     from rvjax.population.tolerance import Tolerance
@@ -106,16 +105,16 @@ class Empirical(Distribution):
             if not isinstance(value, list):
                 raise ValueError(f"{key} = {value!r}: must be a list, or a table of file, column and unit")
             return super().parsed(key, value, unit)
-        if not {"file", "column"} <= set(value) <= {"file", "column", "unit"} or not all(
+        if not {"file", "column"} <= set(value) <= {"file", "column", "unit", "encoding"} or not all(
             isinstance(item, str) for item in value.values()
         ):
             raise ValueError(f"{key}: give file, column and unit as texts, not {', '.join(value)}")
         units = {"-": 1.0} if unit == "-" else KNOWN[unit]
         if "unit" in value and recognised(value["unit"], units) is None:
-            raise unknown(f"{key}.unit = {value['unit']!r}", value["unit"], units, ": is not one of")
+            raise unknown_unit(f"{key}.unit = {value['unit']!r}", value["unit"], units, ": is not one of")
         column = {name: value[name] for name in ("column", "unit") if name in value}
         try:
-            read = read_table(value["file"], {key: column}, units={key: units})
+            read = read_table(value["file"], {key: column}, units={key: units}, encoding=value.get("encoding"))
         except OSError as error:
             raise ValueError(f"{key}.file = {value['file']!r}: cannot be read ({error})") from None
         values = read.numbers[key][~np.isnan(read.numbers[key])]  # an empty cell is a part that was not measured

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from rvjax.records import PyTree
 from rvjax.running.formats.head import Header
 from rvjax.running.formats.json_file import as_json
-from rvjax.running.formats.mjcf import as_mjcf
+from rvjax.running.formats.mjcf import as_mjcf, remark
 from rvjax.running.formats.modelica import as_modelica
 from rvjax.running.formats.urdf import as_urdf
 
@@ -17,10 +17,11 @@ class Form(NamedTuple):
     ending: str  # of file names
     write: Callable[[PyTree, Header], str]
     inertias: bool  # whether it needs both inertias
+    remark: Callable[[PyTree], str] = lambda _: ""  # a sentence on the file of a model
 
 
 FORMATS = {
-    "mjcf": Form(".xml", as_mjcf, True),
+    "mjcf": Form(".xml", as_mjcf, True, remark),
     "modelica": Form(".mo", as_modelica, True),
     "urdf": Form(".urdf", as_urdf, False),
     "json": Form(".json", as_json, False),

@@ -27,7 +27,7 @@ def as_mjcf(joint: PyTree, header: Header) -> str:
     """
     found = with_inertia(joint, "MJCF")
     rotor, output = found["rotor_inertia"], found["output_inertia"]
-    step = STEPS / math.sqrt(found["stiffness"] * (1 / rotor + 1 / output))
+    step = STEPS / _frequency(found)
 
     root = ElementTree.Element("mujoco", model=header.study)
     _add(root, "compiler", angle="radian", boundmass="0", boundinertia="0")
@@ -46,8 +46,24 @@ def as_mjcf(joint: PyTree, header: Header) -> str:
     _add(train, "joint", joint="rotor", coef="-1")
     _add(_add(root, "actuator"), "motor", name="motor", joint="rotor", gear=digits(found["ratio"]))
     ElementTree.indent(root)
-    said = ("The control of the motor is the torque of the motor shaft in N m.",)
+    said = ("The control of the motor is the torque of the motor shaft in N m.", remark(joint))
     return header.xml((*MISSING, PROPORTIONAL), said) + ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def remark(joint: PyTree) -> str:
+    """A sentence on the timestep of the file, which the train sets.
+
+    Args:
+        joint: the model, with both inertias.
+    """
+    natural = _frequency(with_inertia(joint, "MJCF"))
+    why = f"{STEPS} over the natural frequency of the train, {natural:.3g} rad/s"
+    return f"The timestep is {STEPS / natural:.2g} s: {why}. A larger one does not resolve its vibration."
+
+
+def _frequency(found: dict[str, float]) -> float:
+    """Of rotor and output on the stiffness of the train, rad/s."""
+    return math.sqrt(found["stiffness"] * (1 / found["rotor_inertia"] + 1 / found["output_inertia"]))
 
 
 def _add(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:

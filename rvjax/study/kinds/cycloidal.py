@@ -7,9 +7,8 @@ from collections.abc import Collection, Iterator
 from operator import attrgetter
 from typing import Any
 
-from rvjax._reducer.plausible import shown
+from rvjax._reducer.plausible import sharp_from, shown
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
-from rvjax.geometry import least_convex_radius
 from rvjax.mounting import unit_errors
 from rvjax.records import Scalar
 from rvjax.study.kinds.kind import Assumed, Drawing, Kind, Numbers, Start
@@ -35,7 +34,7 @@ def facts(design: CycloidalReducer) -> Iterator[tuple[str, str]]:
     cycloid, output = design.cycloid, design.output
     sense = "opposite to the input" if design.ratio < 0 else "with the input"
     k1 = cycloid.shortening_coefficient
-    least = float(least_convex_radius(k1, pins=cycloid.pin_count)) * cycloid.pin_circle_radius
+    least = sharp_from(cycloid)
     sharp = "undercut" if cycloid.pin_radius >= least else "no undercut"
     hole = _hole(design)
     yield "ratio", f"{abs(design.ratio)}:1, output {sense}"

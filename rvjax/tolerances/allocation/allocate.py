@@ -56,10 +56,10 @@ def allocate(
         joint_target: share of units that must meet all requirements at once, if wanted.
         correlation: {(field or element, field or element): correlation of their z}.
         certificate_samples: independent units per certificate, at least; more are drawn where they save more than
-            1 % of the cost.
+            2 % of the cost.
         confidence: of the certificate's intervals.
         grades: also round fields with a `size` to ISO 286 grades and fit the other fields to them.
-        max_steps: sets of half-widths tried, at most, for one set of mid-points.
+        max_steps: vectors of decisions that one run of the search looks at, at most.
         middles: {field: Middle} of errors whose limits may also move as a whole; the others keep their mid-point.
         variables: {name: Variable} of numbers of the design that are chosen too. The response is then
             response(errors, values), values a dict of scalars by name.

@@ -52,6 +52,21 @@ class Certifier:
         joint = statistics.joint_yield
         return met and (wanted is None or (joint is not None and joint.lower >= wanted))
 
+    def failing(self, constraints: Constraints, statistics: Statistics) -> np.ndarray:
+        """Rows (c,) that a certificate does not show.
+
+        Args:
+            constraints: of the search.
+            statistics: of the certificate.
+        """
+        verdicts, wanted, joint = statistics.verdicts or {}, self._problem.joint_target, statistics.joint_yield
+        short = wanted is not None and (joint is None or joint.lower < wanted)
+        found = [short if row.item is None and row.share else False for row in constraints.rows]
+        for k, row in enumerate(constraints.rows):
+            if row.item is not None and row.name in verdicts:
+                found[k] = not verdicts[row.name].met
+        return np.array(found, bool)
+
     def hopeless(self) -> bool:
         """True if not even a sample without rejects could certify every target."""
         n, confidence = self.run.samples, self.run.confidence
@@ -85,6 +100,7 @@ class Certifier:
             if not self.rare(item):
                 continue
             count = min(max(n, _RARE[0]), _RARE[1])
+            self.solved += count
             found = failure_probability(self.run.response, population, {name: item}, samples=count, seed=self.run.seed)
             of: Callable[[Any], Any] = lambda figure: figure if name == PLAIN else figure[name]  # noqa: B023, E731
             failing, trusted = of(found.probability), set(of(found.status).split(", ")) <= _TRUSTED

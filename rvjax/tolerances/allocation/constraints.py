@@ -176,13 +176,14 @@ class Constraints:
             finite = values[1][row.name][np.isfinite(values[1][row.name])]
             spread = float(finite.std()) if len(finite) else 0.0
             least = _SMALL * spread or 1e-12 * _size(row.item) or 1e-300
-            self.ways[k] = max(*ways, least) if max(ways) > 0 else max(spread, -max(ways), least)
+            beyond = -max(ways) if math.isfinite(max(ways)) else 0.0
+            self.ways[k] = max(*ways, least) if max(ways) > 0 else max(spread, beyond, least)
 
     @staticmethod
     def _inside(item: Limits, values: np.ndarray) -> float:
         """Distance of the median inside the limits."""
-        found = -float(np.median(item.margin(values[~np.isnan(values)]))) if not np.isnan(values).all() else -math.inf
-        return found if math.isfinite(found) else -math.inf
+        margins = item.margin(values[np.isfinite(values)])
+        return -float(np.median(margins)) if len(margins) else -math.inf
 
     def place(self, x: np.ndarray) -> None:
         """Put quick units into the tails that decide at a vector."""
@@ -294,6 +295,9 @@ class Constraints:
             population = population.with_half_widths({name: scale * t for name, t in widths})
         values = self.units.values(population, self.tails.z, self.aside, FEW)
         for k, row in enumerate(self.rows):
+            if row.item is None and not row.share:  # of failed units
+                found[k] = float(np.any([np.isnan(own) for own in values.values()], axis=0).mean())
+        for k, row in enumerate(self.rows):
             if row.share:
                 margins = self._margins(k, values)[0]
                 weights = self.tails.weights[: len(margins)]
@@ -394,7 +398,8 @@ class Constraints:
             return float(failed.mean()) / self.most_failed, nothing
         item, own = row.item, values[row.name]
         valid = own if item.most_failed >= 1 else own[~np.isnan(own)]
-        margin = item.learned(valid, self.ways[k]) + self.problem.cushioned(item, valid)
+        cushion = self.problem.cushioned(item, valid)
+        margin = item.learned(valid, self.ways[k]) + cushion
         if not math.isfinite(margin):
             return math.inf, nothing
         if not sloped:
@@ -403,7 +408,10 @@ class Constraints:
         pull = item.pull(few, margin, self.ways[k], len(few))
         if not len(pull.units):
             return 1 + margin / self.ways[k], nothing
-        pulled = {row.name: pull.cotangents / pull.norms.sum()}
+        seen = few[pull.units]
+        square = float(((seen - seen.mean()) ** 2).sum())  # the cushion grows as the spread of the units does
+        more = cushion * (seen - seen.mean()) / square if square > 0 else 0.0
+        pulled = {row.name: pull.cotangents / pull.norms.sum() + more}
         return 1 + margin / self.ways[k], self.units.slope(x, self.plain[:, pull.units], pulled) / self.ways[k]
 
     def _worst_case(self, row: Row, x: np.ndarray) -> tuple[float, np.ndarray]:

@@ -12,6 +12,9 @@ from rvjax.population import Population, Tolerance
 from rvjax.tolerances.allocation.cost import Cost, Costs
 from rvjax.tolerances.allocation.variable import Middle, Variable
 
+KEPT = 4
+"""Vectors whose units are kept: a step that was not taken, or a scaled one, goes back to an earlier one."""
+
 _STEP = 1e-4  # of differences of a cost, part of a range
 _NOTHING = 1e-9  # of a half-width
 _SAME = 1e-9  # part of a range that is rounding
@@ -46,7 +49,7 @@ class Decisions:
                 self.high[k] = ((item.upper - origin) if way > 0 else (origin - item.lower)) / (item.upper - item.lower)
         self.reach = np.concatenate([np.ones(len(self.fields)), np.full(count, _REACH)])
         self._costs = Costs(list(priced.values()))
-        self._latest = b"", population
+        self._latest: dict[bytes, Population] = {}
 
     @property
     def size(self) -> int:
@@ -77,12 +80,6 @@ class Decisions:
         logs, count = x[: len(self.fields)], len(self.fields)
         inner = np.where(logs >= self.high[:count], self._high, np.exp(logs))
         return np.clip(np.where(logs <= self.low[:count], self._low, inner), self._low, self._high)
-
-    def with_half_widths(self, x: np.ndarray, half_widths: np.ndarray) -> np.ndarray:
-        """The vector with other half-widths (j,)."""
-        found = x.copy()
-        found[: len(half_widths)] = np.log(half_widths)
-        return found
 
     def middles_at(self, x: np.ndarray) -> dict[str, float]:
         """Mid-points of the limits that may move."""
@@ -116,10 +113,11 @@ class Decisions:
         return found
 
     def population(self, x: np.ndarray) -> Population:
-        """Units with these half-widths, mid-points and numbers; made once for one vector after the other."""
-        if self._latest[0] != x.tobytes():
-            self._latest = x.tobytes(), self._population(x)
-        return self._latest[1]
+        """Units at a vector; the latest ones are kept, and with them their values."""
+        key = x.tobytes()
+        if key not in self._latest:
+            self._latest = dict([*self._latest.items()][1 - KEPT :]) | {key: self._population(x)}
+        return self._latest[key]
 
     def without_errors(self, x: np.ndarray) -> Population:
         """Units with these mid-points and numbers, whose priced errors are next to nothing."""
@@ -134,10 +132,6 @@ class Decisions:
         changed = moved | {name: active[name].with_half_width(t) for name, t in widths.items()}
         there = self.base.with_tolerances(changed)
         return there.replace(values=self.values(x)) if self.variables else there
-
-    def moving(self, x: np.ndarray) -> float:
-        """Cost of moving mid-points."""
-        return sum(m.scale * abs(self.middles_at(x)[name] - self.given[name]) for name, m in self.middles.items())
 
     @property
     def start(self) -> np.ndarray:

@@ -77,6 +77,7 @@ class Grades:
         return dataclasses.replace(
             result, grades=names, residual=found.residual, multipliers=found.multipliers, margins=found.margins,
             margin_slopes=found.margin_slopes, value_prices=found.value_prices,
+            evaluations=search.evaluations(constraints.count),
         )  # fmt: skip
 
     def _cheapest(self, near: Look) -> tuple[Places | None, Look]:

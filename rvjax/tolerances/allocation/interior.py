@@ -4,8 +4,8 @@ Primal-dual Newton steps (Nocedal and Wright, Numerical Optimization, chapter 19
 nearly diagonal here. SLSQP needs some hundred updates of a dense matrix for 200 fields, 2 s a step for 0.05 s.
 """
 
+import dataclasses
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 
@@ -15,7 +15,8 @@ _INSIDE = 1e-2  # of a range, by which a start lies inside it
 _TINY = 1e-11  # curvature of variables that have none
 
 
-class Model(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class Model:
     """Values and derivatives of a model at a vector (n,).
 
     Attributes:

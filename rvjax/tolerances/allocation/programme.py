@@ -1,9 +1,9 @@
 """Search in a trust region: the cheapest vector of decisions that meets all constraints of a sample.
 
-Around a vector powers of the used ways are linear in powers of the half-widths, and quadratic in mid-points and numbers:
-what was seen at another vector gives the curvature. Costs are exact. Outputs without errors take one unit: they
-are looked at again at the end of each step of the model until it is right there. An interior point method solves the
-model within a box; an excess over a limit has a price. A step is taken where it gains enough of what the model promised.
+Around a vector powers of the used ways are linear in powers of the half-widths, and quadratic in mid-points and
+numbers: what was seen at another vector gives the curvature. Costs are exact. Outputs without errors take one unit:
+they are looked at again at the end of each step of the model until it is right there. An interior point method solves
+the model within a box; an excess over a limit has a price. A step is taken where it gains enough of what was promised.
 """
 
 import dataclasses
@@ -22,6 +22,9 @@ GAIN = 1e-5, 5e-4
 COARSE = 5e-3
 """The same on a sample that grows afterwards."""
 
+STATIONARY = 0.1
+"""Residual of an optimum: it costs less than half of its square."""
+
 MET = 0.01
 """Excess over a limit, in parts of its way, within the error of a sample."""
 
@@ -34,9 +37,10 @@ _SHORTER = 3.0  # times smaller is the box than a step that was not taken
 _FLAT = 0.05  # used way, below which its square has no slope of its own
 _LOST = 3.0  # excess of a limit whose units fail, in parts of its way
 _PRICE, _DEARER_BY, _DEARER = 2.0, 10.0, 1e4  # of an excess of a whole way, in costs; its growth, and the most
+_STRAIGHTER = 4  # times at the end of a search, at most, at which what was learned of curvatures is reduced
 _EXACT = 1e-9  # error of a limit without errors at the end of a step, in parts of its way
 _ROUNDS = 8  # of the model, each with these outputs seen at the end of the one before
-_BENT = 0.01  # part of a range: the errors of a shorter step are not those of a curvature
+_BENT = 0.03  # of a reach: the errors of a shorter step are not those of a curvature
 _AT = 1e-6  # distance from a bound that is none
 _NOTHING = 1e-3  # of the sum of slopes, a cost that is next to nothing
 
@@ -51,6 +55,7 @@ class End:
         at_low: (n,) rate at which the cost grows with each lower bound, not negative.
         at_high: (n,) rate at which it falls with each upper bound, not negative.
         residual: largest saving of an entry that no price accounts for, as a part of all savings.
+        of_widths: the same of half-widths alone.
         promised: gain that the model promises nearby, as a part of the cost.
         settled: False where the number of looks ended the search.
     """
@@ -60,6 +65,7 @@ class End:
     at_low: np.ndarray
     at_high: np.ndarray
     residual: float
+    of_widths: float
     promised: float
     settled: bool
 
@@ -80,9 +86,9 @@ class Programme:
         self.constraints, self.decisions, self._look = constraints, constraints.decisions, look
         self.low, self.high = self.decisions.low.copy(), self.decisions.high.copy()
         self._first = len(self.decisions.fields)
-        count = self.decisions.size - self._first
-        self.bends = np.zeros((len(constraints.rows) + 1, count, count))
-        """Curvatures (c + 1, m, m) of powers of the used ways, and of the loss, to mid-points and numbers."""
+        self.bends = np.zeros((len(constraints.rows) + 1, self.decisions.size, self.decisions.size))
+        """Curvatures (c + 1, n, n) of powers of the used ways, and of the loss, in reaches; those of the model apart."""
+        self._kept = self.bends
         self.weights: np.ndarray | None = None
         """Prices (c,) of excesses where these are all that counts, else None."""
 
@@ -99,7 +105,8 @@ class Programme:
         here, looks = self._look(np.clip(start, self.low, self.high)), 1
         size = self._size(here)
         elastic = np.full(len(here.used), _PRICE * size) if self.weights is None else self.weights
-        settled, least = False, _LEAST[self.constraints.problem.costly]
+        self.bends = self._kept
+        settled, straight, least = False, 0, _LEAST[self.constraints.problem.costly]
         while looks < most:
             size = self._size(here)
             plan = self._plan(here, radius, elastic)
@@ -109,6 +116,10 @@ class Programme:
                 if radius >= least and self.weights is None and broken.any() and elastic.max() < _DEARER * size:
                     elastic = np.where(broken, _DEARER_BY * elastic, elastic)
                     continue
+                if self._kept.any() and straight < _STRAIGHTER and self.end(here).residual > STATIONARY:
+                    self.bends = self._kept = self._kept / _SHORTER**2  # of longer steps: they promise nothing here
+                    straight, radius = straight + 1, max(radius, AGAIN)
+                    continue
                 settled = True
                 break
             there, looks = self._look(plan.x), looks + 1
@@ -116,9 +127,9 @@ class Programme:
             step = float(np.abs((plan.x - here.x) / self.decisions.reach).max())
             if gained < _TAKEN * promised or not math.isfinite(gained):
                 radius = min(radius, step) / _SHORTER
-                self._learn(here, there)
+                self._learn(here, there, taken=False)
                 continue
-            self._learn(there, here)
+            self._learn(there, here, taken=True)
             if gained > _GOOD * promised:
                 radius = min(_LARGEST, max(radius, 2 * step))
             elif gained < (1 - _GOOD) * promised:
@@ -151,8 +162,8 @@ class Programme:
         savings = max(savings, MET * abs(here.total), 1e-300)
         elastic = np.full(len(here.used), _PRICE * self._size(here)) if self.weights is None else self.weights
         promised = (self._merit(here, elastic) - self._plan(here, AGAIN, elastic).merit) / self._size(here)
-        residual = float(np.abs(left).max(initial=0.0)) / savings
-        return End(here, prices, at_low, at_high, residual, promised, settled)
+        residual, of_widths = (float(np.abs(own).max(initial=0.0)) / savings for own in (left, left[: self._first]))
+        return End(here, prices, at_low, at_high, residual, of_widths, promised, settled)
 
     def prices(self, here: Look, radius: float) -> np.ndarray:
         """Prices (c,) of used ways in the model around a look.
@@ -188,7 +199,7 @@ class Programme:
         reach = radius * self.decisions.reach
         low, high = np.maximum(self.low, here.x - reach), np.minimum(self.high, here.x + reach)
         counted, first = float(self.weights is None), self._first
-        curved_rows = self.bends[:-1][units]
+        curved_rows = self.bends[:-1][units] / np.outer(self.decisions.reach, self.decisions.reach)
         whole = np.concatenate([here.x, _excess(here), [here.priced / size]])
         whole[:n] = np.clip(here.x, low, high)
         ends = np.concatenate([low, np.zeros(c), [-np.inf]]), np.concatenate([high, np.full(c + 1, np.inf)])
@@ -206,7 +217,7 @@ class Programme:
             hessian = np.zeros((n + c + 1, n + c + 1))
             hessian[:n, :n] = counted * curved / size
             hessian[range(first), range(first)] += np.maximum(lam @ bends[units], 0.0)
-            hessian[first:n, first:n] += np.einsum("k,kij->ij", lam, curved_rows)
+            hessian[:n, :n] += np.einsum("k,kij->ij", lam, curved_rows)
             objective = np.concatenate([counted * slopes, elastic, [counted * size]]) / size
             values = np.concatenate([1 + whole[n + units] - used[units], flat])
             return Model(objective[free], hessian[np.ix_(free, free)], values, np.concatenate([own, rates])[:, free])
@@ -230,40 +241,50 @@ class Programme:
         grown = np.exp(p * moved[:first])
         start = np.where(here.powers == 1, base, np.sign(base) * np.abs(base) ** here.powers)
         value = start + (rate[:, :first] / p * (grown - 1)).sum(axis=1) + rate[:, first:] @ moved[first:]
-        slopes, bent = rate[:, :first] * grown, self.bends[:-1] @ moved[first:]
-        value += bent @ moved[first:] / 2
-        return value, np.concatenate([slopes, rate[:, first:] + bent], axis=1), p * slopes
+        slopes, bent = rate[:, :first] * grown, self._bent(moved)[:-1]
+        value += bent @ moved / 2
+        return value, np.concatenate([slopes, rate[:, first:]], axis=1) + bent, p * slopes
 
     def _total(self, here: Look, x: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Cost with losses under the model, without priced outputs, its derivatives (n,) and curvature (n, n)."""
         first, moved = self._first, x - here.x
         cost, slopes, bends = self.decisions.cost(x)
         grown = here.loss_slopes[:first] * np.exp(2 * moved[:first])
-        bent = self.bends[-1] @ moved[first:]
+        bent = self._bent(moved)[-1]
         loss = here.loss + float((grown - here.loss_slopes[:first]).sum()) / 2
-        loss += float((here.loss_slopes[first:] + bent / 2) @ moved[first:])
+        loss += float(here.loss_slopes[first:] @ moved[first:] + bent @ moved / 2)
         curved = np.diag(np.maximum(bends, 0.0))
         curved[range(first), range(first)] += np.maximum(2 * grown, 0.0)
-        curved[first:, first:] += self.bends[-1]
-        return cost + loss, slopes + np.concatenate([grown, here.loss_slopes[first:] + bent]), curved
+        curved += self.bends[-1] / np.outer(self.decisions.reach, self.decisions.reach)
+        return cost + loss, slopes + np.concatenate([grown, here.loss_slopes[first:]]) + bent, curved
 
-    def _learn(self, here: Look, there: Look) -> None:
+    def _bent(self, moved: np.ndarray) -> np.ndarray:
+        """Derivatives (c + 1, n) of the learned part of the model at a step."""
+        return np.asarray(self.bends @ (moved / self.decisions.reach) / self.decisions.reach)
+
+    def _learn(self, here: Look, there: Look, *, taken: bool) -> None:
         """Bend the model around a look so that it has the values seen at another one.
 
-        Half-widths, whose model is less wrong, take their part of the error by their part of the step.
+        A step that was not taken bends it along the whole step, until one is taken. One that was taken bends it for
+        good along mid-points and numbers, by their part of the step: the model of half-widths is less wrong.
         """
-        step, first = (there.x - here.x) / self.decisions.reach, self._first
-        moved = (there.x - here.x)[first:]
-        if math.sqrt(moved @ moved) < _BENT:
+        if taken:
+            self.bends = self._kept
+        step = (there.x - here.x) / self.decisions.reach
+        numbers = np.where(np.arange(len(step)) < self._first, 0.0, step) if taken else step
+        if math.sqrt(numbers @ numbers) < _BENT:
             return
-        part = float(step[first:] @ step[first:] / (step @ step))
-        told = np.append(self._powers(here, there.x)[0], self._total(here, there.x)[0] - self.decisions.cost(there.x)[0])
+        part = float(numbers @ numbers / (step @ step))
+        told = np.append(
+            self._powers(here, there.x)[0], self._total(here, there.x)[0] - self.decisions.cost(there.x)[0]
+        )
         error = np.append(_power(there), there.loss) - told
         known = np.append(np.isfinite(here.used) & np.isfinite(there.used), math.isfinite(there.loss))
-        error = np.where(known, part * error, 0.0)
-        bent = self.bends + 2 * error[:, None, None] * np.outer(moved, moved) / float(moved @ moved) ** 2
+        error = np.where(known, part * error, 0.0) if taken else np.where(known, np.maximum(error, 0.0), 0.0)
+        bent = self.bends + 2 * error[:, None, None] * np.outer(numbers, numbers) / float(numbers @ numbers) ** 2
         values, vectors = np.linalg.eigh(bent)  # a model without negative curvatures has one minimum
         self.bends = np.einsum("kij,kj,klj->kil", vectors, np.maximum(values, 0.0), vectors)
+        self._kept = self.bends if taken else self._kept
 
     # The order of vectors.
 

@@ -10,12 +10,13 @@ import dataclasses
 
 import numpy as np
 
-from rvjax.tolerances.allocation.constraints import Constraints, Look
+from rvjax.tolerances.allocation.constraints import FAILED, Constraints, Look
 
 _INWARD, _OUTWARD = 5.0, 0.7  # reach of a ray, logarithm of the factor
 _IDLE = 0.5  # with a larger factor than this, its logarithm, a limit does not bind
 _STEP, _PART = 0.15, 0.05  # of differences, logarithm of a half-width or part of a range: several units cross
-_MOVED = 0.05  # part of its way by which a limit is moved for its price
+_MOVED = 0.05, 0.1, 0.2  # parts of its way by which a limit is moved for its price, until that changes something
+_SURE = 0.8  # part of the failed units that may be, which a certificate shows
 _FINE, _COARSE = 1e-3, 3e-3  # accuracy of a place on a ray and of a difference
 
 
@@ -24,7 +25,9 @@ class Rays:
 
     def __init__(self, constraints: Constraints) -> None:
         self._constraints, self._first = constraints, len(constraints.decisions.fields)
-        self._shares = np.array([row.share for row in constraints.rows], bool)
+        self._shares = np.array([row.share or row.name == FAILED for row in constraints.rows], bool)
+        self._rejects = np.where([row.share for row in constraints.rows], 0.0, _SURE * (constraints.most_failed or 0.0))
+        """Failed units (c,) that a certificate allows; 0 for limits on shares."""
 
     def look(self, x: np.ndarray) -> Look:
         """Cost and used ways at a vector, those of shares along the ray."""
@@ -46,17 +49,19 @@ class Rays:
             x: vector of decisions.
         """
         constraints, rows = self._constraints, self._constraints.rows
-        moves, used = _MOVED * constraints.ways, []
-        for sign in (-1.0, 1.0):
-            constraints.rows = [
-                dataclasses.replace(row, item=row.item.widened(sign * by)) if row.share and row.item else row
-                for row, by in zip(rows, moves)
-            ]
-            used.append(self.look(x).used)
-        constraints.rows = rows
-        rates = np.where(self._shares, (used[0] - used[1]) / (2 * moves), 1 / constraints.ways)
+        rates = np.zeros(len(rows))
+        for part in _MOVED:
+            moves, used = part * constraints.ways, []
+            for sign in (-1.0, 1.0):
+                constraints.rows = [
+                    dataclasses.replace(row, item=row.item.widened(sign * by)) if row.share and row.item else row
+                    for row, by in zip(rows, moves)
+                ]
+                used.append(self.look(x).used)
+            constraints.rows = rows
+            rates = np.where(np.abs(rates) > 0, rates, (used[0] - used[1]) / (2 * moves))
         with np.errstate(divide="ignore"):
-            return np.asarray(1 / rates)
+            return np.asarray(1 / np.where(self._shares, rates, 1 / constraints.ways))
 
     def _difference(self, x: np.ndarray, room: np.ndarray, j: int) -> np.ndarray:
         """-d log(factor)/d x_j of each limit that may bind."""
@@ -80,7 +85,8 @@ class Rays:
         while (high - low).max(initial=0.0) > known:
             k = int(np.argmax(high - low))
             at = (low[k] + high[k]) / 2
-            met = self._constraints.beyond(x, scale=float(np.exp(at))) <= self._constraints.rejects
+            most = np.where(self._rejects > 0, self._rejects, self._constraints.rejects)
+            met = self._constraints.beyond(x, scale=float(np.exp(at))) <= most
             low = np.where(met, np.clip(at, low, high), low)
             high = np.where(met, high, np.clip(at, low, high))
         return (low + high) / 2

@@ -11,7 +11,7 @@ from rvjax._jax.blocks import PULLED, calls, padded
 from rvjax.population import Population
 from rvjax.response import BLOCK, Part, Response, elements, elements_and_rates, gradients, is_costly, parts, respond
 from rvjax.status import succeeded
-from rvjax.tolerances.allocation.decisions import Decisions
+from rvjax.tolerances.allocation.decisions import KEPT, Decisions
 from rvjax.tolerances.batch.checkpoint import describe
 from rvjax.tolerances.batch.memo import Memo
 
@@ -52,7 +52,7 @@ class Units:
         failed = np.any([np.isnan(row[:shortest]) for row in found.values()], axis=0)
         for row in found.values():
             row[:shortest][failed] = np.nan
-        self._latest = [*self._latest[-1:], (population, z, least, found)]
+        self._latest = [*self._latest[1 - KEPT :], (population, z, least, found)]
         return found
 
     def _of_part(self, part: Part, population: Population, z: np.ndarray) -> np.ndarray:

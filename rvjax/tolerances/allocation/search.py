@@ -9,12 +9,12 @@ import numpy as np
 
 from rvjax.response import begin_programs
 from rvjax.tolerances.allocation.certificate import Certifier
-from rvjax.tolerances.allocation.constraints import FEW, SPARE, Constraints, Look
+from rvjax.tolerances.allocation.constraints import FAILED, FEW, SPARE, Constraints, Look
 from rvjax.tolerances.allocation.grades import Grades
 from rvjax.tolerances.allocation.lists import Lists, Places
 from rvjax.tolerances.allocation.prices import intervals, margins_of, prices_of, value_prices
 from rvjax.tolerances.allocation.problem import QUICK, Problem
-from rvjax.tolerances.allocation.programme import AGAIN, COARSE, MET, RADIUS, End, Programme
+from rvjax.tolerances.allocation.programme import AGAIN, COARSE, MET, RADIUS, STATIONARY, End, Programme
 from rvjax.tolerances.allocation.ranges import ranges
 from rvjax.tolerances.allocation.rays import Rays
 from rvjax.tolerances.allocation.result import Allocation, bounds_active
@@ -22,13 +22,11 @@ from rvjax.tolerances.allocation.starts import rivals, starts
 from rvjax.tolerances.batch.statistics import Statistics
 from rvjax.tolerances.loss import expected_losses
 
-STATIONARY = 0.1
-"""Residual of an optimum: it costs less than half of its square."""
-
 DEARER = 0.2
 """Part of the learned cost by which a certified one may exceed it and still be called the cheapest."""
 
 _BEYOND = 40  # units of the last sample beyond each limit that decides
+_STAGES = 2048, 4096  # costly units of samples between the first and the last one
 _MOST = 16_384  # costly units of a sample, at most
 _TESTS = 6  # certificates of one search, at most
 _WORTH = 1e-3  # gain of the cost, as a part of it, for which another one is computed
@@ -89,7 +87,7 @@ class Search:
         if self.problem.variables and self._rays is None:
             self.constraints.rejects, self.constraints.moved = kept[0], kept[1].copy()
             found = dataclasses.replace(found, ranges=ranges(self.constraints, self.programme, end))
-        return dataclasses.replace(found, evaluations=self._evaluations(count))
+        return dataclasses.replace(found, evaluations=self.evaluations(count))
 
     # The search on a growing sample.
 
@@ -137,7 +135,7 @@ class Search:
                 for k, r in enumerate(self.constraints.rows) if r.share and look.used[k] > SPARE]  # fmt: skip
         wanted = 2 ** math.ceil(math.log2(_BEYOND / min(near, default=1.0)))
         last = min(max(wanted, self.problem.sample, FEW), _MOST)
-        return [*([2048] if last > 2048 else []), last] if last > FEW else []
+        return [*(count for count in _STAGES if count < last), last] if last > FEW else []
 
     def _grow(self, count: int, look: Look) -> None:
         self.constraints.spare(look)
@@ -201,7 +199,8 @@ class Search:
 
     def _misled(self, end: End) -> bool:
         """True if derivatives of units do not lead to an optimum of limits on shares."""
-        return any(row.share for row in self.constraints.rows) and end.residual > STATIONARY
+        judged = any(row.share or row.name == FAILED for row in self.constraints.rows)
+        return judged and end.of_widths > STATIONARY
 
     def _along_rays(self, end: End, start: np.ndarray) -> End:
         """The best end by looks along rays, from the end of another search, the start and the finest half-widths."""
@@ -218,6 +217,7 @@ class Search:
         end = self._enough(end)
         learned, best = self._before(end), None
         constraints, certifier = self.constraints, self.certifier
+        held_at, failed_at = np.zeros(len(constraints.rows)), np.full(len(constraints.rows), np.inf)
         for test in range(_TESTS):
             seen = certifier.draw(self.decisions.population(end.look.x))
             held = certifier.holds(seen) and constraints.missed(end.look) <= _EXACTLY
@@ -225,6 +225,13 @@ class Search:
                 best = end, seen
             reached = constraints.reached(end.look) if self._rays is None else constraints.rejects
             rejects, moved = certifier.corrected(constraints, end.look, seen, reached)
+            bad = certifier.failing(constraints, seen)
+            held_at = np.where(bad, held_at, np.maximum(held_at, constraints.rejects))
+            failed_at = np.where(bad, np.minimum(failed_at, constraints.rejects), failed_at)
+            between = np.sqrt(
+                np.where(held_at > 0, held_at, rejects) * np.where(np.isfinite(failed_at), failed_at, rejects)
+            )
+            rejects = np.where((rejects >= failed_at) | (rejects < held_at), between, rejects)
             gain = self._gain(end, rejects, moved)
             if (held and gain < _WORTH * abs(end.look.total)) or certifier.hopeless():
                 break
@@ -282,7 +289,8 @@ class Search:
         if cost > learned + DEARER * abs(learned):
             return "SUBOPTIMAL"
         values = not self.problem.losses and all(row.share or row.nominal for row in self.constraints.rows)
-        stationary = end.residual <= STATIONARY or end.promised <= STATIONARY**2 / 2 or (self._rays is not None and values)
+        noisy = self.problem.costly and end.promised <= STATIONARY**2 / 2  # slopes of few units
+        stationary = end.residual <= STATIONARY or noisy or (self._rays is not None and values)
         return "OPTIMAL" if end.settled and stationary else "MAX_STEPS"
 
     def _result(self, end: End, seen: Statistics, learned: float) -> Allocation:
@@ -313,7 +321,8 @@ class Search:
         cost = look.cost + look.priced
         given = decisions.vector(problem.given, {name: item.first for name, item in problem.variables.items()})
         return Allocation(
-            feasible=status != "INFEASIBLE", status=status, tolerances=decisions.population(look.x).tolerances, cost=cost,
+            feasible=status != "INFEASIBLE", status=status, cost=cost,
+            tolerances=decisions.population(look.x).tolerances,
             start_cost=decisions.cost_of(problem.given, given) + self.constraints.nominal(given)[2],
             learned=learned, costs=decisions.costs(look.x),
             half_widths=dict(zip(decisions.fields, map(float, decisions.half_widths(look.x)))),
@@ -351,13 +360,15 @@ class Search:
         total = look.cost + look.priced
         found = self.allocation(look, seen, "SUBOPTIMAL" if held else "INFEASIBLE", total)
         if held:
-            return dataclasses.replace(found, evaluations=self._evaluations(constraints.count))
+            return dataclasses.replace(found, evaluations=self.evaluations(constraints.count))
         joint, missing = self.problem.joint_target or 0.0, dict[str, float]()
         for k, row in enumerate(constraints.rows):
             if row.item is None:
                 continue
             own = (look.used[k] - constraints.moved[k] - 1) * constraints.ways[k]
-            if not row.exact and (self.problem.costly or joint or not math.isfinite(own)):  # more units, or all limits
+            if not row.exact and (
+                self.problem.costly or joint or not row.share or not math.isfinite(own)
+            ):  # more units, or all limits
                 own = self.problem.requirements[row.name].shortfall(seen.values[row.name], joint)
             missing[row.name] = max(missing.get(row.name, 0.0), float(own), 0.0)
         if constraints.most_failed is not None and seen.failed > constraints.most_failed * seen.samples:
@@ -367,11 +378,12 @@ class Search:
             found = dataclasses.replace(found, status="NOT_CERTIFIED", feasible=True)
         helps = self._helping(end)
         return dataclasses.replace(
-            found, shortfall=found.shortfall | missing, evaluations=self._evaluations(constraints.count), helps=helps,
+            found, shortfall=found.shortfall | missing, evaluations=self.evaluations(constraints.count), helps=helps,
             reason=self._reason(missing, helps) if self.problem.variables else None,
         )  # fmt: skip
 
-    def _evaluations(self, sample: int) -> dict[str, int]:
+    def evaluations(self, sample: int) -> dict[str, int]:
+        """Units solved so far, and those of the last sample of the search."""
         return {"search": self.constraints.units.solved, "certificates": self.certifier.solved, "sample": sample}
 
     def _helping(self, end: End) -> tuple[str, str] | None:

@@ -15,10 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.compile_cache import ONCE, quick
-from rvjax._reducer.plausible import shown
+from rvjax._reducer.plausible import sharp_from, shown
 from rvjax.designs import InvoluteStage, RVReducer
-from rvjax.geometry import contact_ratio, least_convex_radius
-from rvjax.records import Array, PyTree, Scalar
+from rvjax.geometry import contact_ratio
+from rvjax.records import PyTree, Scalar
 from rvjax.study.kinds.following import Following, Law, number_at
 from rvjax.study.values import Toml, subtable
 
@@ -37,8 +37,7 @@ def facts(design: RVReducer) -> Iterator[tuple[str, str]]:
     cycloid, stage = design.cycloid, design.involute
     gap = 2 * (cycloid.pin_circle_radius * math.sin(math.pi / cycloid.pin_count) - cycloid.pin_radius)
     k1 = cycloid.shortening_coefficient
-    smallest, ratio = map(float, _geometry(k1, stage, cycloid.pin_count))
-    least = smallest * cycloid.pin_circle_radius
+    least = sharp_from(cycloid)
     yield "ratio", f"{design.ratio:.6g}"
     yield "K1", f"{float(k1):.4g}"
     yield "gap between pins", shown(gap, "m")
@@ -47,13 +46,10 @@ def facts(design: RVReducer) -> Iterator[tuple[str, str]]:
         "largest pin without undercut",
         f"{shown(least, 'm')} radius; the pins have {shown(cycloid.pin_radius, 'm')}: {sharp}",
     )
-    yield "contact ratio of the gears", f"{ratio:.3g} (teeth without shift)"
+    yield "contact ratio of the gears", f"{float(_overlap(stage)):.3g} (teeth without shift)"
 
 
-@quick(2, options=ONCE)  # one program instead of one for each operation
-def _geometry(k1: Scalar, stage: InvoluteStage, pins: int) -> tuple[Array, Array]:
-    """Least radius without undercut over that of the pin circle, and contact ratio."""
-    return least_convex_radius(k1, pins=pins), contact_ratio(stage)
+_overlap = quick(options=ONCE)(contact_ratio)  # one program instead of one for each operation
 
 
 def _standard(values: Mapping[str, PyTree]) -> InvoluteStage:
