@@ -15,8 +15,10 @@ from rvjax.tolerances import allocate
 
 NEAR = {False: 1.0015, True: 1.004}
 """Cost over the least one for the share that was reached, of quick and of costly units."""
+PRICES = {False: 0.03, True: 0.06}
+"""Error of a price, of slopes of a thousand and of some dozen units."""
 SLOPELESS = ("failing", "steps")
-"""Of units whose slopes mislead only quick ones are searched along rays."""
+"""Of units whose slopes mislead only quick ones are searched along rays, where a price is known by few units."""
 
 
 def solved(case, costly, **changes):
@@ -40,14 +42,14 @@ def test_the_end_is_the_known_optimum(name, costly):
         assert found.status in ("MAX_STEPS", "NOT_CERTIFIED") and found.residual > 0.1
         return
     share, errors = reached(case, found)
-    assert found.status == "OPTIMAL" and found.residual < 0.1
+    assert found.status == "OPTIMAL" and found.residual < (0.2 if costly else 0.1)
     assert 0 < errors < 5
     assert found.certificate.verdicts["y"].met and found.certificate.verdicts["y"].estimate.lower >= case.target
     least = case.least(share)[0]
     assert (1 - 1e-5) * least <= found.cost < NEAR[costly] * least
     assert found.learned <= found.cost < 1.06 * found.learned and found.start_cost > found.cost
     price = case.price(share)
-    assert found.multipliers["y"] == pytest.approx(price, rel=0.4 if name == "steps" else 0.03)
+    assert found.multipliers["y"] == pytest.approx(price, rel=0.5 if name in SLOPELESS else PRICES[costly])
     if costly:
         low, high = found.multiplier_intervals["y"]
         assert low < found.multipliers["y"] < high and abs(found.multipliers["y"] - price) < high - low  # 4 errors
