@@ -149,9 +149,16 @@ def test_gradients_are_slopes_of_the_plain_value(case):
     assert np.array_equal(good, (lost == plain[2]).all(axis=2)), [names[f] for _, f in np.argwhere(good)]
     assert np.isnan(lost[~good]).any(axis=1).all()
     unread = [name for name, read in zip(names, ~good.all(axis=0)) if not read]
-    gradient, value = jax.tree.map(np.asarray, jax.jit(jax.jacrev(with_value, has_aux=True))(errors))
+    slopes = jax.jit(jax.jacrev(with_value, has_aux=True))
+    gradient, value = jax.tree.map(np.asarray, slopes(errors))
     np.testing.assert_allclose(value, plain[2, 0], rtol=10 * ROUNDING)
     assert all(np.all(np.asarray(getattr(gradient, name)) == 0) for name in unread)
+    signed = [f.name for f in dataclasses.fields(errors) if f.metadata["sign"] == "nonnegative"]
+    at_bound, inside = (slopes(errors.replace(**{name: np.full_like(getattr(errors, name), x) for name in signed}))[0]
+                        for x in (0.0, 1e-12))  # fmt: skip
+    for name in signed:  # the slope of the side that a sign admits
+        one, other = (np.asarray(getattr(found, name)) for found in (at_bound, inside))
+        np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-9 * np.max(np.abs(other), initial=0), err_msg=name)
     slope = sum(
         np.reshape(d, (len(names), -1)) @ np.reshape(g, (len(outputs), -1)).T
         for g, d in zip(jax.tree.leaves(gradient), jax.tree.leaves(moves))
