@@ -24,7 +24,7 @@ from cycloidal_cases import (
 )
 
 from oracles import cycloidal as oracle
-from rvjax import CycloidalErrors, RVErrors, catalogue, loaded
+from rvjax import CycloidalErrors, RVErrors, catalogue, loaded, study
 from rvjax.catalogue import RV_40E_WHOLE as rv
 from rvjax.geometry import squared_pressure
 from rvjax.loaded import material, unchecked
@@ -337,6 +337,19 @@ def test_conforming_holes_are_beyond_the_theory():
     assert status == Status.CONVERGED and 0.295 < half < 0.3
     status, half = share(1.01 * limit)
     assert status == Status.CONTACT_OVERLOAD and np.isnan(half)
+
+
+def test_a_start_beyond_the_contact_law_is_no_overload():
+    """Polymer discs with 200 um of interference: the linear start presses pins deeper than their law goes."""
+    design = study.load("cycloidal-17-additive", solve=False).design
+    flanks = (design.cycloid.replace(equidistant_modification=x) for x in (-200e-6, -300e-6))
+    tight, tighter = (placed(design.replace(cycloid=flank)) for flank in flanks)
+    forward, back, none = (solve_alone(*tight, 0.0, torque) for torque in (0.01, -0.01, 0.0))
+    assert forward.info.status == back.info.status == none.info.status == Status.CONVERGED
+    assert float(np.max(forward.pressure)) == pytest.approx(float(np.max(back.pressure)), rel=1e-9)  # odd in the torque
+    assert float(forward.error) == pytest.approx(-float(back.error), rel=1e-9)
+    assert float(np.max(none.pressure)) == pytest.approx(459.62e6, rel=1e-5)
+    assert solve_alone(*tighter, 0.0, 0.01).info.status == Status.CONTACT_OVERLOAD
 
 
 def test_units_of_a_batch_are_what_each_is_alone():

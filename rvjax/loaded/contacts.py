@@ -165,9 +165,9 @@ def gradient(layout: Layout, s: System, q: jax.Array, at: Contacts | None = None
 
 def energy(layout: Layout, s: System, q: jax.Array, at: Contacts) -> jax.Array:
     """Energy (l,) J, Eq. 21."""
-    pins = folded(laws.energy(layout.law, *at.pins[:2], s.pins.compliance[None]), 0, 1)
+    pins = folded(laws.energy(layout.law, *at.pins[:2], s.pins.compliance[None], s.pins.level), 0, 1)
     depth, force, _ = at.joints
-    joints = [laws.energy(law, depth[part], force[part], k) for law, part, k, _ in _groups(layout, s)]
+    joints = [laws.energy(law, depth[part], force[part], k, level) for law, part, k, level in _groups(layout, s)]
     support = folded(s.support * q * q, 0) / 2 + s.load * q[layout.carried]
     return pins + folded(at.bearings.energy, 0) + folded(_joined(joints), 0) + support
 

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._jax.elementary import nonnegative
 from rvjax.designs import Contact, RVReducer
 from rvjax.errors import RVErrors
 from rvjax.geometry import material as of_contact, squared_pressure
@@ -206,7 +207,7 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
         held += [springs.output_support] * 2
     if sun_floats:
         held += [springs.sun_support] * 2 + [springs.sun_torsion / involute.sun_base_radius**2]
-    play = [jnp.maximum(x, 0) for x in (errors.bearing_clearance, errors.support_clearance)]
+    play = [nonnegative(x) for x in (errors.bearing_clearance, errors.support_clearance)]
     # XLA copies cheap operations into every consumer, but computes a division once. Half of the program was copies.
     one, one_of_errors = jnp.where(e > 0, 1.0, 2.0).astype(dtype), jnp.where(read.gate.good, 1.0, 2.0).astype(dtype)
     seats = -_placed(full(errors.carrier_bore, (cranks.count, 2)), cranks.count)
