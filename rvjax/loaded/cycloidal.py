@@ -179,7 +179,6 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
     laws = drive_laws(layout.law, design, at)
     holes = _holes(layout, design, laws.holes)
     eccentrics = jnp.broadcast_to(springs.eccentric_bearing, (layout.discs,)).astype(dtype)
-    centring = 1e-8 * jnp.mean(eccentrics)
     held = jnp.zeros((layout.unknowns,), dtype)
     if unknowns.floats:
         held = held.at[layout.carried + 1 : layout.carried + 3].set(springs.output_support)
@@ -210,8 +209,8 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
             stiffness=jnp.concatenate(stiffness),
             clearance=jnp.concatenate(play),
         ),
-        centring=centring,
-        support=centring + held,
+        centring=1e-8 * jnp.mean(eccentrics),
+        support=held,
         load=design.carrier_factor / radius,
     )
     pressure = jnp.broadcast_to(_pressure(design, laws.pins.radius), gaps.pins.shape)

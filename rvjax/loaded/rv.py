@@ -200,7 +200,6 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
         if contact.pin_support is not None:
             level = level + 1 / (yielding * jnp.atleast_1d(contact.pin_support)[None])
     arms = jnp.broadcast_to(springs.turning_arm_bearing, (layout.discs, layout.links))
-    centring = 1e-8 * jnp.mean(arms)
     held: list[Scalar] = [0.0] * (layout.carried + 1)
     carrier_floats, sun_floats = _floats(layout)
     if carrier_floats:
@@ -231,8 +230,8 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
             stiffness=jnp.append(arms, jnp.broadcast_to(springs.support_bearing, (layout.links,))),
             clearance=jnp.concatenate([jnp.full((n,), x) for n, x in zip((arms.size, layout.links), play)]),
         ),
-        centring=centring,
-        support=centring + jnp.stack([jnp.asarray(x, dtype) for x in held]),
+        centring=1e-8 * jnp.mean(arms),
+        support=jnp.stack([jnp.asarray(x, dtype) for x in held]),
         load=1 / cranks.circle_radius,
     )
     # rr^2 / R* is `rounding`, so that 1 / R* = rounding / rr^2.
