@@ -73,7 +73,7 @@ class Lever(Record):
 
 @record
 class Made(Record):
-    """What its coefficients make it: a line of three errors, a square, a number d, a corner, steps, units that fail.
+    """Response of many kinds: a line of three errors, a square, a number d, a corner, steps, units that fail.
 
     y = sum s_j d^p_j e_j + bend e_b^2 + base + shift (d - 1) + bow (d - 1)^2, then sqrt(corner^2 + y^2), whole steps.
     """

@@ -24,7 +24,18 @@ from cycloidal_cases import (
 )
 
 from oracles import cycloidal as oracle
-from rvjax import CycloidalErrors, RVErrors, catalogue, loaded
+from rvjax import (
+    Contact,
+    CycloidalErrors,
+    CycloidalReducer,
+    CycloidalStiffness,
+    CycloidStage,
+    OutputPins,
+    RVErrors,
+    catalogue,
+    loaded,
+    study,
+)
 from rvjax.catalogue import RV_40E_WHOLE as rv
 from rvjax.geometry import squared_pressure
 from rvjax.loaded import material, unchecked
@@ -337,6 +348,48 @@ def test_conforming_holes_are_beyond_the_theory():
     assert status == Status.CONVERGED and 0.295 < half < 0.3
     status, half = share(1.01 * limit)
     assert status == Status.CONTACT_OVERLOAD and np.isnan(half)
+
+
+@pytest.mark.parametrize(("clearance", "rated"), [(200e-6, 1.0), (0.0, 0.3)])
+def test_backlash_does_not_depend_on_the_stiffness_of_the_bearing(clearance, rated):
+    """Free play of one disc against Eq. 19, whose flanks have pins everywhere; the rest is finite pins: 1e-2."""
+    e, teeth, arm, flank, hole = 1e-3, 15, 17e-3, 150e-6, 200e-6
+    design = CycloidalReducer(
+        CycloidStage(teeth, 16, 1, e, 30e-3, 2e-3, equidistant_modification=flank),
+        OutputPins(6, arm, 2e-3, 2 * hole),
+        CycloidalStiffness(1e8),
+        Contact(206e9, 0.3, 8e-3),
+    )
+    design, errors = placed(design, CycloidalErrors(bearing_clearance=clearance))
+    found = [
+        bench(design.replace(stiffness=design.stiffness.replace(eccentric_bearing=np.asarray(k))), errors, rated)
+        for k in 10.0 ** np.arange(7, 14)
+    ]
+    assert {int(case.info.status) for case in found} == {Status.CONVERGED}
+    backlash = np.array([case.backlash for case in found])
+    s = np.linspace(0, min(clearance, flank), 1001)
+    along = np.sqrt(clearance**2 - s**2) + np.sqrt(flank**2 - s**2)
+    due = 2 * np.max(along / (e * teeth) + (hole + s) / (arm * np.sin(np.pi / 3)))
+    np.testing.assert_allclose(backlash, due, rtol=1e-2)
+    np.testing.assert_allclose(backlash, backlash[0], rtol=1e-4)
+
+
+@jax.jit
+def bench(design, errors, rated):
+    return loaded.torsion(design, errors, input_angle=0.0, rated_torque=rated)
+
+
+def test_a_start_beyond_the_contact_law_is_no_overload():
+    """Polymer discs with 200 um of interference: the linear start presses pins deeper than their law goes."""
+    design = study.load("cycloidal-17-additive", solve=False).design
+    flanks = (design.cycloid.replace(equidistant_modification=x) for x in (-200e-6, -300e-6))
+    tight, tighter = (placed(design.replace(cycloid=flank)) for flank in flanks)
+    forward, back, none = (solve_alone(*tight, 0.0, torque) for torque in (0.01, -0.01, 0.0))
+    assert forward.info.status == back.info.status == none.info.status == Status.CONVERGED
+    assert float(np.max(forward.pressure)) == pytest.approx(float(np.max(back.pressure)), rel=1e-9)  # odd in the torque
+    assert float(forward.error) == pytest.approx(-float(back.error), rel=1e-9)
+    assert float(np.max(none.pressure)) == pytest.approx(459.62e6, rel=1e-5)
+    assert solve_alone(*tighter, 0.0, 0.01).info.status == Status.CONTACT_OVERLOAD
 
 
 def test_units_of_a_batch_are_what_each_is_alone():

@@ -16,6 +16,8 @@ import pytest
 from oracles.dynamics import Oracle, layout
 from rvjax import Damping, dynamics
 from rvjax.catalogue import RV_320E
+from rvjax.dynamics.assembly import lump
+from rvjax.dynamics.error_peaks import _modes
 from rvjax.dynamics.modal import DynamicStiffness, ModalSector, matrix_root, on_resonance
 from rvjax.dynamics.symmetry import KINDS
 from rvjax.units import rpm
@@ -353,3 +355,18 @@ def test_a_frequency_that_meets_a_mode_is_told():
         z = [np.array([complex(x)]) for x in (1.0, 0.0, -square)]
         assert bool(met_by(modal, DynamicStiffness(*z))) == met
         assert not met_by(modal, DynamicStiffness(z[0] * (1 + 1e-6j), *z[1:]))
+
+
+def test_second_derivatives_of_modes_are_slopes_of_the_first():
+    """A peak of a speed range moves with its mode: its size, at that speed, has a second derivative of its own."""
+
+    def modes(x):
+        stiffness, inertia = RV_320E.stiffness, RV_320E.inertia
+        softer = stiffness.replace(sun_planet_mesh=stiffness.sun_planet_mesh * (1 + x))
+        design = RV_320E.replace(stiffness=softer, inertia=inertia.replace(planet_mass=inertia.planet_mass * (1 + x)))
+        return _modes(lump(design))
+
+    slope = jax.jit(jax.jacfwd(modes))
+    found = jax.jit(jax.jacfwd(jax.jacfwd(modes)))(0.1)
+    np.testing.assert_allclose(found, sixth_order(slope, 0.1, 1e-3), rtol=1e-7, atol=1e-6)
+    assert np.abs(found).max() > 100

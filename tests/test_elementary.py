@@ -93,6 +93,12 @@ def test_quotient():
     assert float(elementary.divide(jnp.float32(1), jnp.float32(3))) == np.float32(1) / np.float32(3)
 
 
+def test_the_slope_at_the_bound_of_a_number_without_sign():
+    value, slope = jax.vmap(jax.value_and_grad(elementary.nonnegative))(jnp.asarray([-1.0, 0.0, 2.0]))
+    assert value.tolist() == [0, 0, 2] and slope.tolist() == [0, 1, 1]
+    assert np.isnan(elementary.nonnegative(jnp.nan))
+
+
 def test_derivatives():
     x, angle, away = np.array([1e-30, 0.3, 1.0, 7e20]), np.linspace(-4, 4, 9), np.full(9, -2.0)
 

@@ -232,8 +232,8 @@ def test_other_numbers_compile_nothing(compiled):
     assert not compiled
 
 
-def test_a_start_beyond_the_law_of_a_pin_is_replaced():
-    """By the linear one: metres of approach find the equilibrium too, with and without load."""
+def test_a_start_beyond_the_law_of_a_pin_is_left():
+    """Metres of approach find the equilibrium too, with and without load."""
     errors = jax.tree.map(lambda leaf: np.tile(leaf, (UNITS, *[1] * np.ndim(leaf))), errors_of(CASE, DESIGN))
     starts = np.r_[1e-3, -1.0, 1e30, COLD[3:]]
     found = jax.tree.map(np.asarray, solve_units(errors, np.array([412.0, 0.0]), starts))

@@ -62,7 +62,7 @@ def system_of(layout, torque, angle=0.1, flank=0.0, hole=0.0, play=0.0, spread=N
     supports = len(layout.common) > 1
     count = discs + supports
     centring = 1e-8 * BEARING
-    support = np.full(n, centring)
+    support = np.zeros(n)
     if supports:
         support[c + 1 : c + 3] += 5e8  # of the floating carrier
     of_pins, of_holes = SPRINGS[layout.law][0], SPRINGS[layout.joints[0].law][1]
@@ -129,8 +129,9 @@ def energy_and_slope(layout, s, q):
     length = np.linalg.norm(w, axis=1)
     over = np.maximum(length - s.bearings.clearance, 0)
     pull = (s.bearings.stiffness * over / np.where(length > 0, length, 1))[:, None] * w
-    energy = of_pins.sum() + of_holes.sum() + (s.bearings.stiffness * over**2).sum() / 2 + s.support @ q**2 / 2
-    slope = s.support * q + s.joints.rows.T @ holes + np.einsum("bxn,bx->n", s.bearings.rows, pull)
+    held = s.support + s.centring
+    energy = of_pins.sum() + of_holes.sum() + (s.bearings.stiffness * over**2).sum() / 2 + held @ q**2 / 2
+    slope = held * q + s.joints.rows.T @ holes + np.einsum("bxn,bx->n", s.bearings.rows, pull)
     slope[: 3 * layout.discs] += np.einsum("akp,kp->ka", s.pins.rows, pins).ravel()
     slope[layout.carried] += s.load
     return energy + s.load * q[layout.carried], slope

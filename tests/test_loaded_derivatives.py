@@ -18,6 +18,7 @@ SUPPORT = dict(pin_support=np.linspace(1e8, 2e8, 40))
 DESIGN = design_of(CASE).replace(contact=design_of(CASE).contact.replace(**SUPPORT))
 DESIGN, ERRORS = plain((DESIGN, errors_of(CASE, DESIGN)))
 START = (DESIGN, ERRORS, 412.0, 576.525)
+CLEARANCES = ("bearing_clearance", "support_clearance", "pin_hole_clearance")
 UNREAD = ("module", "centre_distance", "sun_radius", "disc_phase", "output_torsion", "pin_position", "disc_runout")
 
 
@@ -80,6 +81,18 @@ def test_derivatives_to_every_input_agree_with_differences():
         noise = 1e-12 * np.abs(value) / step
         bound = 1e-5 * np.maximum(np.abs(slope), np.max(np.abs(slope)) * 1e-3) + 10 * noise
         assert np.all(np.abs(expected - slope) <= bound), (name, slope, expected)
+
+
+def test_slopes_without_clearance_are_those_of_clearance():
+    """Clearances are at least 0, and a lesser number counts as 0: the slope at 0 is not the mean of both sides."""
+
+    def slopes(x):
+        loose = ERRORS.replace(**{name: np.asarray(x) for name in CLEARANCES})
+        found = backward((DESIGN, loose, *START[2:]), np.eye(8)[0])[1]
+        return np.array([getattr(found, name) for name in CLEARANCES])
+
+    np.testing.assert_allclose(slopes(0.0), slopes(1e-12), rtol=1e-5)
+    assert np.all(slopes(0.0) != 0)
 
 
 @pytest.mark.long  # forward mode is what reverse mode transposes

@@ -23,7 +23,7 @@ def found(law, depth):
     """Force, slope and energy at depths."""
     compliance, level = (None if x is None else jnp.asarray(x, depth.dtype) for x in CASES[law])
     load = laws.force(law, depth, compliance, level)
-    return load, laws.slope(law, depth, load, compliance), laws.energy(law, depth, load, compliance)
+    return load, laws.slope(law, depth, load, compliance), laws.energy(law, depth, load, compliance, level)
 
 
 @pytest.mark.parametrize("law", laws.CONTACTS)
@@ -55,3 +55,18 @@ def test_single_precision(law):
 def test_contacts_that_do_not_touch_carry_no_force(law):
     for values in found(law, np.array([-1e-6, 0.0, -1e-9, -1e-3, -1.0])):
         assert np.all(np.asarray(values) == 0)
+
+
+def test_beyond_its_largest_depth_the_hertz_law_is_still_convex():
+    """Force and energy go on without a jump; slope and force are the rise of force and energy there too."""
+    limit = float(laws.largest_depth(*map(jnp.asarray, CASES["hertz"])))
+    compliance, level = CASES["hertz"]
+    assert level - np.log(limit / compliance) == pytest.approx(1, abs=1e-3)
+    depth = limit * np.array([0.9, 0.99, 1.001, 1.01, 1.3, 3.0])
+    load, slope, _ = map(np.asarray, found("hertz", depth))
+    h = 1e-6 * depth
+    rise, _, work = ((a - b) / (2 * h) for a, b in zip(found("hertz", depth + h), found("hertz", depth - h)))
+    np.testing.assert_allclose(slope, rise, rtol=1e-3)
+    np.testing.assert_allclose(work, load, rtol=1e-3)
+    below, above = (np.asarray(found("hertz", limit * np.array([x]))) for x in (1 - 1e-6, 1 + 1e-6))
+    np.testing.assert_allclose(above[[0, 2]], below[[0, 2]], rtol=1e-4)

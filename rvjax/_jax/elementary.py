@@ -44,6 +44,15 @@ def _log_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
     return log(x), dx / x
 
 
+def nonnegative(x: jax.Array) -> jax.Array:
+    """x, or 0 where it is negative; the derivative at 0 is that of the positive side, not the mean of both.
+
+    Args:
+        x: a number or array; NaN stays NaN.
+    """
+    return jnp.where(x < 0, 0, x)
+
+
 def root(x: jax.Array) -> jax.Array:
     """Square root of x > 0; 0 with derivative 0 elsewhere: a root mean square without any amplitude has no slope.
 

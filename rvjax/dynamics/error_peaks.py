@@ -132,8 +132,15 @@ def refine_speeds(
 
 
 def _modes(lumped: Lumped) -> jax.Array:
-    """Angular frequencies of the rotational modes (11,), with the derivatives of simple eigenvalues."""
+    """Angular frequencies of the rotational modes (11,), with first and second derivatives of simple eigenvalues."""
     modal = modal_sectors(lumped, [KEY])[KEY]
-    square = jnp.diagonal(modal.stiffness)  # in a fixed basis: its derivative is that of the eigenvalue
-    square = modal.square + (square - jax.lax.stop_gradient(square))
-    return root(square)
+    matrix = modal.stiffness  # in a fixed basis, diagonal in value: perturbation of second order
+    change = jnp.diagonal(matrix) + jnp.sum(jnp.square(matrix) * _inverse_distances(modal.square), axis=1)
+    return root(modal.square + (change - jax.lax.stop_gradient(change)))
+
+
+def _inverse_distances(square: jax.Array) -> jax.Array:
+    """1 / (a - b) of every two eigenvalues (n,), and 0 where they are one."""
+    apart = square[:, None] - square[None, :]
+    near = jnp.abs(apart) <= jnp.sqrt(jnp.finfo(square.dtype).eps) * jnp.max(square)
+    return jnp.where(near, 0, 1 / jnp.where(near, 1, apart))

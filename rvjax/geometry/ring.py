@@ -1,5 +1,6 @@
 """Flank and pins of the ring, with the record of the figures: the same for all reducers with cycloid discs."""
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 
 from rvjax._reducer.flank import Ground, modified, relative_radius
 from rvjax.designs import Contact, CycloidStage
-from rvjax.records import Array, Record, Scalar, field, record
+from rvjax.records import Array, PyTree, Record, Scalar, field, record
 from rvjax.status import Gate, SolveInfo, Status
 
 PLACES = 2048  # of a pin along a flank, of which the one with the largest value is refined
@@ -55,41 +56,67 @@ def of_flank(cycloid: CycloidStage, ground: Ground, plain: Array) -> tuple[Array
         return plain, jnp.zeros_like(plain), jnp.zeros_like(plain)
     whole = ground._replace(offset=jnp.where(plain > 0, ground.offset, (ground.offset + plain) / 2))
 
-    def along(psi: Array) -> tuple[Array, Array, Array]:
-        bend, slope = modified(whole, cycloid, jnp.cos(psi), jnp.sin(psi))
-        return bend, jnp.abs(slope), -bend
+    def along(k: int, psi: Array, given: tuple[Ground, CycloidStage]) -> Array:
+        bend, slope = modified(*given, jnp.cos(psi), jnp.sin(psi))
+        return (bend, jnp.abs(slope), -bend)[k]
 
-    step = np.pi / PLACES
-    grid = jnp.asarray(step * np.arange(PLACES + 1), plain.dtype)
-
-    def largest(k: int) -> Array:
-        return along(largest_place(lambda psi: along(psi)[k], grid, step))[k]
-
-    bend, slope, hollow = map(largest, range(3))
+    grid = np.pi / PLACES * np.arange(PLACES + 1)
+    bend, slope, hollow = (largest(functools.partial(along, k), grid, (whole, cycloid)) for k in range(3))
     return jnp.where((plain > 0) & (bend > 0), 1 / jnp.where(bend > 0, bend, 1), plain), slope, hollow
 
 
-def largest_place(function: Callable[[Array], Array], grid: Array, step: float) -> Array:
-    """Place where a function of the lobe angle is largest: the best of a grid, refined by parabolas.
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def largest(function: Callable[[Array, PyTree], Array], grid: np.ndarray, given: PyTree) -> Array:
+    """Largest value of a function of the lobe angle; its derivative is that at the place of the largest value.
 
     Args:
-        function: of angles (n,).
-        grid: (n,) rad.
-        step: of the grid.
+        function: of angles (n,) rad and `given`, to values (n,).
+        grid: evenly spaced, (n,) rad; its best angle is refined.
+        given: what the function has derivatives to.
     """
-    place = jax.lax.stop_gradient(grid[jnp.argmax(function(grid))])
+    return function(_place(function, grid, given)[None], given)[0]
+
+
+@largest.defjvp
+def _largest_jvp(
+    function: Callable[[Array, PyTree], Array], grid: np.ndarray, primals: PyTree, tangents: PyTree
+) -> PyTree:
+    place = _place(function, grid, *primals)
+    return jax.jvp(lambda given: function(place[None], given)[0], primals, tangents)
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def _place(function: Callable[[Array, PyTree], Array], grid: np.ndarray, given: PyTree) -> Array:
+    """The best of a grid, refined by parabolas."""
+    dtype, step = jax.tree.leaves(given)[0].dtype, float(grid[1] - grid[0])
+    place = jnp.asarray(grid, dtype)[jnp.argmax(function(jnp.asarray(grid, dtype), given))]
     for width in (step, step / 32):
-        low, mid, high = jax.lax.stop_gradient(function(place + jnp.asarray([-width, 0, width], grid.dtype)))
+        low, mid, high = function(place + jnp.asarray([-width, 0, width], dtype), given)
         bow = low - 2 * mid + high
         place += width * jnp.where(bow < 0, jnp.clip((low - high) / (2 * jnp.where(bow < 0, bow, -1)), -1, 1), 0)
     return place
 
 
+@_place.defjvp
+def _place_jvp(
+    function: Callable[[Array, PyTree], Array], grid: np.ndarray, primals: PyTree, tangents: PyTree
+) -> PyTree:
+    """Second derivatives of the value need dplace = -df' / f'', from f' = 0."""
+    place = _place(function, grid, *primals)
+
+    def rate(place: Array, given: PyTree) -> Array:
+        return jax.jvp(lambda psi: function(psi[None], given)[0], (place,), (jnp.ones_like(place),))[1]
+
+    bow = jax.jvp(lambda psi: rate(psi, *primals), (place,), (jnp.ones_like(place),))[1]
+    change = jax.jvp(lambda given: rate(place, given), primals, tangents)[1]
+    return place, jnp.where(bow < 0, -change / jnp.where(bow < 0, bow, -1), 0)
+
+
 def pressure(cycloid: CycloidStage, ground: Ground, contact: Contact, disc_torque: Array) -> Array:
     """Largest pressure of a pin, rigid discs; () Pa.
 
-    F = M l/sum l^2 over the loaded pins, l = e zc sin(psi)/S; p^2 = F E/(2 pi L (1 - nu^2) R*). The best of a grid of
-    places of the most loaded pin is refined by parabolas through its neighbours; the derivative is that at the place.
+    F = M l/sum l^2 over the loaded pins, l = e zc sin(psi)/S; p^2 = F E/(2 pi L (1 - nu^2) R*). Largest of all
+    places of the most loaded pin.
     Pins of another material: 1/(pi L (s1 + s2)) in place of E/(2 pi L (1 - nu^2)), s = (1 - nu^2)/E of either.
 
     Args:
@@ -98,21 +125,21 @@ def pressure(cycloid: CycloidStage, ground: Ground, contact: Contact, disc_torqu
         contact: of discs and pins.
         disc_torque: of one disc, () N m.
     """
-    pins, k1 = cycloid.pin_count, jnp.asarray(cycloid.shortening_coefficient)
-    dtype, pin = k1.dtype, jnp.asarray(cycloid.pin_radius)
+    pins = cycloid.pin_count
     each = max(8, PLACES // pins)
 
-    def squared(psi: Array) -> Array:
+    def squared(psi: Array, given: tuple[CycloidStage, Ground]) -> Array:
         """p^2 with a pin at lobe angles psi (n,), per M E/(2 pi L (1 - nu^2))."""
-        angles = psi[:, None] + jnp.asarray(2 * np.pi * np.arange(pins)[None] / pins, dtype)
+        cycloid, ground = given
+        k1 = jnp.asarray(cycloid.shortening_coefficient)
+        angles = psi[:, None] + jnp.asarray(2 * np.pi * np.arange(pins)[None] / pins, k1.dtype)
         size = jnp.sqrt((1 - k1) ** 2 + 4 * k1 * jnp.sin(angles / 2) ** 2)
         lever = jnp.asarray(cycloid.eccentricity) * cycloid.disc_teeth * jnp.maximum(jnp.sin(angles), 0) / size
         bend, _ = modified(ground, cycloid, jnp.cos(psi), jnp.sin(psi))
-        return lever[:, 0] / jnp.sum(lever**2, axis=1) / relative_radius(pin, bend)
+        return lever[:, 0] / jnp.sum(lever**2, axis=1) / relative_radius(jnp.asarray(cycloid.pin_radius), bend)
 
-    step = 2 * np.pi / (each * pins)
-    place = largest_place(squared, jnp.asarray(step * np.arange(1, each * pins // 2), dtype), step)
-    return root(disc_torque * squared_pressure(contact) * squared(place[None])[0])
+    grid = 2 * np.pi / (each * pins) * np.arange(1, each * pins // 2)
+    return root(disc_torque * squared_pressure(contact) * largest(squared, grid, (cycloid, ground)))
 
 
 def squared_pressure(contact: Contact) -> Array:

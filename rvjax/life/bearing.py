@@ -13,7 +13,7 @@ from rvjax import status
 from rvjax._ground.choices import choose
 from rvjax._jax.blocks import LOADS, padded
 from rvjax._jax.compile_cache import quick
-from rvjax._jax.elementary import log, power
+from rvjax._jax.elementary import log, nonnegative, power
 from rvjax._jax.varying import scan
 from rvjax._reducer.bearings import RollerBearing
 from rvjax._reducer.plausible import checked
@@ -56,7 +56,7 @@ def laminae(bearing: RollerBearing, clearance: jax.Array, tilt: jax.Array, crown
     crown = 2.5 * diameter
     end = jnp.maximum(2 * jnp.abs(place) - length + crown, 0) / crown
     profile = jnp.where(length <= crown, short, 0.0005 * diameter * _sagging(jnp.where(length <= crown, 0, end)))
-    gap = jnp.maximum(clearance / mm, 0) + (2 * profile if crowned else jnp.zeros_like(profile))
+    gap = nonnegative(clearance / mm) + (2 * profile if crowned else jnp.zeros_like(profile))
     return Rollers(_SPRING * power(length, 8 / 9) / LAMINAE, place, gap, tilt)
 
 
@@ -181,7 +181,8 @@ def bearing_life(
         angle: of the inner ring against the outer one, (n,) rad; None: 0. "basic" does not read it.
         weight: share of the revolutions at each force, (n,) >= 0, normalised to sum 1; None: equal.
         method: "basic" (size of the load), "raceway" (points of both rings) or "slices" (laminae of the rollers).
-        clearance: radial (half of the diametral one), m, < 0 counts as 0; "slices" only.
+        clearance: radial (half of the diametral one), m, < 0 counts as 0; "slices" only. The slope at 0 is that of a
+            clearance.
         tilt: of the rings against each other in the plane of the load, rad; "slices" only.
         crowned: rollers with a logarithmic profile; False: straight; "slices" only.
 

@@ -230,9 +230,12 @@ def _solve_jvp(plan: Plan, primals: tuple[Given], tangents: tuple[Given]) -> tup
     """dx = -(dv / d given) dgiven / (dv / dx)."""
     (given,), (change,) = primals, tangents
     x, start, info = _solve(plan, given)
-    _, linear = jax.linearize(lambda x, given: _missing(plan, given, x, start)[0], x, given)
-    slope = linear(jnp.ones_like(x), jax.tree.map(jnp.zeros_like, given))
+
+    def value(x: jax.Array, given: Given) -> jax.Array:
+        return _missing(plan, given, x, start)[0]
+
+    slope = jax.jacfwd(value)(x, given)  # `jax.linearize` would forget the rules that second derivatives need
     regular = succeeded(info.status) & (slope != 0)
-    dx = -linear(jnp.zeros_like(x), change) / jnp.where(regular, slope, 1)
+    dx = -jax.jvp(functools.partial(value, x), (given,), (change,))[1] / jnp.where(regular, slope, 1)
     still = jax.custom_derivatives.zero_from_primal((start, info))
     return (x, start, info), (jnp.where(regular, dx, 0), *still)

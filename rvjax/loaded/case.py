@@ -12,6 +12,11 @@ from rvjax.loaded.newton import Found
 from rvjax.loaded.system import Layout, System
 from rvjax.status import SolveInfo, Status, succeeded
 
+CARRIED = 0.03
+"""Share of a torque on the bench that centring springs carry: the angle in the clearances is then right to 2e-4."""
+STIFFEST = 1e7
+"""Largest stiffness of a bearing on the bench, times the clearances over the load: more changes 1e-7 of the angle."""
+
 
 class Case(NamedTuple):
     """One system, and what its results are derived with."""
@@ -28,6 +33,24 @@ class Case(NamedTuple):
     def loaded(self, torque: jax.Array) -> "Case":
         """The same parts, whose load is that of 1 N m, under `torque`, () N m."""
         return self._replace(system=self.system._replace(load=torque * self.system.load))
+
+    def on_bench(self, torque: jax.Array) -> "Case":
+        """`loaded`, but the angle of a small torque follows from the clearances, however stiff the bearings are.
+
+        A centring spring carries at most a small share of the load across the clearances, and a bearing that yields
+        less than a far smaller share of them counts as that stiff.
+        """
+        case = self.loaded(torque)
+        s = case.system
+        gaps = s.pins.gap, s.joints.gap, s.bearings.gap, s.bearings.clearance
+        play = jnp.sum(jnp.stack([jnp.max(jnp.abs(gap)) for gap in gaps]))
+        rate = jax.lax.stop_gradient(jnp.abs(s.load) / jnp.where(play > 0, play, 1))
+
+        def limited(stiffness: jax.Array, most: float) -> jax.Array:
+            return jnp.where((play > 0) & (rate > 0) & (stiffness > most * rate), most * rate, stiffness)
+
+        bearings = s.bearings._replace(stiffness=limited(s.bearings.stiffness, STIFFEST))
+        return case._replace(system=s._replace(bearings=bearings, centring=limited(s.centring, CARRIED)))
 
 
 class Named(NamedTuple):

@@ -157,7 +157,7 @@ def gradient(layout: Layout, s: System, q: jax.Array, at: Contacts | None = None
     at = contacts(layout, s, q) if at is None else at
     pins = over_pins(s.pins.rows, at.pins.force).swapaxes(0, 1).reshape(layout.inner, -1)
     load = jnp.zeros_like(q).at[layout.carried].set(s.load)
-    total = s.support * q + load + jnp.pad(pins, ((0, layout.unknowns - layout.inner), (0, 0)))
+    total = (s.support + s.centring[None]) * q + load + jnp.pad(pins, ((0, layout.unknowns - layout.inner), (0, 0)))
     total = total + _product(s.joints.rows, at.joints.force)
     rows = s.bearings.rows
     return total + _product(rows.reshape(-1, *rows.shape[2:]), at.bearings.force.reshape(-1, q.shape[-1]))
@@ -165,10 +165,10 @@ def gradient(layout: Layout, s: System, q: jax.Array, at: Contacts | None = None
 
 def energy(layout: Layout, s: System, q: jax.Array, at: Contacts) -> jax.Array:
     """Energy (l,) J, Eq. 21."""
-    pins = folded(laws.energy(layout.law, *at.pins[:2], s.pins.compliance[None]), 0, 1)
+    pins = folded(laws.energy(layout.law, *at.pins[:2], s.pins.compliance[None], s.pins.level), 0, 1)
     depth, force, _ = at.joints
-    joints = [laws.energy(law, depth[part], force[part], k) for law, part, k, _ in _groups(layout, s)]
-    support = folded(s.support * q * q, 0) / 2 + s.load * q[layout.carried]
+    joints = [laws.energy(law, depth[part], force[part], k, level) for law, part, k, level in _groups(layout, s)]
+    support = folded((s.support + s.centring[None]) * q * q, 0) / 2 + s.load * q[layout.carried]
     return pins + folded(at.bearings.energy, 0) + folded(_joined(joints), 0) + support
 
 

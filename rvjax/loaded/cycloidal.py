@@ -11,6 +11,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rvjax._jax.elementary import nonnegative
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.geometry import material as of_contact, squared_pressure
 from rvjax.loaded import material
@@ -178,16 +179,15 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
     laws = drive_laws(layout.law, design, at)
     holes = _holes(layout, design, laws.holes)
     eccentrics = jnp.broadcast_to(springs.eccentric_bearing, (layout.discs,)).astype(dtype)
-    centring = 1e-8 * jnp.mean(eccentrics)
     held = jnp.zeros((layout.unknowns,), dtype)
     if unknowns.floats:
         held = held.at[layout.carried + 1 : layout.carried + 3].set(springs.output_support)
     stiffness, centres = [eccentrics], [gaps.centres]
-    play = [jnp.full((layout.discs,), jnp.maximum(errors.bearing_clearance, 0), dtype)]
+    play = [jnp.full((layout.discs,), nonnegative(errors.bearing_clearance), dtype)]
     if unknowns.held:
         stiffness.append(jnp.asarray(springs.shaft_support, dtype).reshape(1))
         centres.append(jnp.zeros((1, 2), dtype))
-        play.append(jnp.asarray(jnp.maximum(errors.support_clearance, 0), dtype).reshape(1))
+        play.append(jnp.asarray(nonnegative(errors.support_clearance), dtype).reshape(1))
     level = laws.pins.level
     system = System(
         pins=Pins(
@@ -209,8 +209,8 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
             stiffness=jnp.concatenate(stiffness),
             clearance=jnp.concatenate(play),
         ),
-        centring=centring,
-        support=centring + held,
+        centring=1e-8 * jnp.mean(eccentrics),
+        support=held,
         load=design.carrier_factor / radius,
     )
     pressure = jnp.broadcast_to(_pressure(design, laws.pins.radius), gaps.pins.shape)

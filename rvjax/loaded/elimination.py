@@ -22,6 +22,7 @@ class Hessian(NamedTuple):
     border: jax.Array  # (m, m, l)
 
 
+_DIAGONAL = (0, 2, 5)  # of a triangle
 _Block = list[list[jax.Array]]  # rows of the lower triangle of a small symmetric block
 
 
@@ -37,7 +38,7 @@ def solve(layout: Layout, hessian: Hessian, rhs: jax.Array) -> jax.Array:
     discs, near, lanes = layout.discs, layout.near, rhs.shape[-1]
     inner = rhs[: layout.inner].reshape(discs, 3, lanes).transpose(1, 0, 2)  # (3, d, l)
     right = jnp.concatenate([hessian.bridge, inner[:, :, None]], axis=2)
-    inverse = _inverse(_rows(hessian.disc))
+    inverse = _inverse(_rows(hessian.disc), [hessian.disc[a] for a in _DIAGONAL])
     forward = stored(_forward, _rows(hessian.disc), inverse, right)  # (3, d, near + 1, l)
 
     def left_by_discs(forward: jax.Array, inverse: list[jax.Array], border: jax.Array, outer: jax.Array) -> jax.Array:
@@ -49,7 +50,8 @@ def solve(layout: Layout, hessian: Hessian, rhs: jax.Array) -> jax.Array:
         above = jnp.concatenate([dense[:, :-1], border[:near, near:], dense[:, -1:]], axis=1)
         return jnp.concatenate([above, jnp.concatenate([border[near:], outer[near:]], axis=1)])
 
-    border = _border(layout, stored(left_by_discs, forward, inverse, hessian.border, rhs[layout.inner :, None]))
+    matrix = stored(left_by_discs, forward, inverse, hessian.border, rhs[layout.inner :, None])
+    border = _border(layout, matrix, [hessian.border[a, a] for a in range(len(hessian.border))])
 
     def of_discs(block: _Block, inverse: list[jax.Array], forward: jax.Array, border: jax.Array) -> jax.Array:
         left = forward[:, :, -1] - folded(forward[:, :, :-1] * border[None, None, :near], 2)
@@ -58,11 +60,11 @@ def solve(layout: Layout, hessian: Hessian, rhs: jax.Array) -> jax.Array:
     return jnp.concatenate([of_discs(_rows(hessian.disc), inverse, forward, border), border])
 
 
-def _border(layout: Layout, matrix: jax.Array) -> jax.Array:
-    """Unknowns of the border from their system (m, m + 1, l), body by body."""
+def _border(layout: Layout, matrix: jax.Array, own: list[jax.Array]) -> jax.Array:
+    """Unknowns of the border from their system (m, m + 1, l), body by body; `own`: its diagonal with the discs held."""
     steps = []
     for size in (*[3] * layout.links, *layout.common):
-        inverse = _inverse(_corner(matrix, size))
+        inverse = _inverse(_corner(matrix, size), own[-len(matrix) :])
         forward, rest = stored(functools.partial(_reduced, size), matrix, inverse)
         steps.append((matrix, inverse, forward))
         matrix = rest
@@ -112,12 +114,17 @@ def _factor(block: _Block, inverse: list[jax.Array]) -> tuple[_Block, list[jax.A
     return lower, pivots
 
 
-def _inverse(block: _Block) -> list[jax.Array]:
-    """1 / D of L D L'; a pivot lost to rounding is raised to it. L is computed from it wherever it is used."""
+def _inverse(block: _Block, own: list[jax.Array]) -> list[jax.Array]:
+    """1 / D of L D L'; a pivot lost to rounding is raised to it. L is computed from it wherever it is used.
+
+    Args:
+        block: to be factored.
+        own: its diagonal before any body was eliminated, of which all that is left may be rounding.
+    """
     least = 8 * float(jnp.finfo(block[0][0].dtype).eps)
     inverse: list[jax.Array] = []
     for a in range(len(block)):
-        inverse.append(1 / jnp.maximum(_factor(block, inverse)[1][a], least * block[a][a]))
+        inverse.append(1 / jnp.maximum(_factor(block, inverse)[1][a], least * own[a]))
     return inverse
 
 

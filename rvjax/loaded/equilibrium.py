@@ -71,7 +71,7 @@ def equilibrium(
         design: an RV reducer or a single-stage drive, with stiffness and contact; one pin more than disc teeth.
             `shortening` is not read.
         errors: of its parts; the bounds without a place (`pin_position`, `disc_runout`, `disc_cumulative_pitch`) are
-            not read, negative clearances count as 0.
+            not read. Negative clearances count as 0; the slope at 0 is that of a clearance.
         input_angle: of the sun, () rad, ring fixed; forward is counter-clockwise, and so is the output. Of a
             single-stage drive: of the shaft against the part at rest; the output turns by angle / design.ratio.
         output_torque: that the discs exert on the carrier, () N m; the external load is its opposite.

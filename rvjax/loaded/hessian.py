@@ -144,7 +144,8 @@ def _border(layout: Layout, s: System, found: Mapping[str, list[jax.Array]]) -> 
     for block in found["common"]:  # groups of as many places in one reduction
         alike[block.shape] = alike[block.shape] + block if block.shape in alike else block
     common = _sum([folded(block, 2, 3) for block in alike.values()])
-    common = common + np.eye(size, dtype=common.dtype)[:, :, None] * s.support[layout.carried :, None]
+    support = s.support[layout.carried :] + s.centring[None]
+    common = common + np.eye(size, dtype=common.dtype)[:, :, None] * support[:, None]
     if not links:
         return common
     link = _sum(found["link"]) + np.eye(3, dtype=common.dtype)[:, :, None, None] * s.centring[None, None, None]

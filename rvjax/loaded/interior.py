@@ -26,7 +26,6 @@ from rvjax.loaded.contacts import (
     depths,
     displaced,
     gradient,
-    limited,
     pressed_joints,
     pressed_pins,
     typical_joint_slopes,
@@ -110,8 +109,6 @@ def approach(layout: Layout, s: System, wanted: jax.Array) -> tuple[jax.Array, j
         most = [*_room(at.pins, pins, step.pins, dpins), *_room(at.joints, joints, step.joints, djoints)]
         for vector, change in ((reach, (step.reach, dw[:, 0], dw[:, 1])), (at.force, step.force)):
             most.append(jnp.min(jnp.where(free, _leaves(vector, change), jnp.inf), axis=0))
-        limits, changes = (limited(layout, s, x.pins.s, x.joints.s) for x in (at, step))
-        most += [_until(limit - now, -change) for (limit, now), (_, change) in zip(limits, changes)]
         share = jnp.minimum(1, _SHARE * jnp.min(jnp.stack(most), axis=0))
         moved = jax.tree.map(
             lambda old, change: jnp.where(_like(going, old), old + _like(share, old) * change, old), at, step
@@ -132,8 +129,6 @@ def _begin(layout: Layout, s: System, lanes: int) -> _Point:
     wide = jnp.abs(s.load) / stiffest
     for gap in (pins, joints, w, s.bearings.clearance):
         wide = jnp.maximum(wide, jnp.max(jnp.abs(gap), axis=tuple(range(gap.ndim - 1))))
-    for limit, _ in limited(layout, s, pins, joints):
-        wide = jnp.minimum(wide, jnp.min(limit, axis=tuple(range(limit.ndim - 1))) / 4)
     reach = jnp.maximum(jnp.sqrt(w[:, 0] * w[:, 0] + w[:, 1] * w[:, 1]), s.bearings.clearance) + wide[None]
     axial = s.bearings.stiffness * (reach - s.bearings.clearance)
     pins, joints = (jnp.maximum(depth, 0) + _like(wide, depth) for depth in (pins, joints))

@@ -5,7 +5,8 @@
     palmgren  d = C F^0.9
 
 `compliance` is c, k or C by contact law; `level` is A of every pin, hertz only. All functions are elementwise, force
-and energy are 0 where d <= 0.
+and energy are 0 where d <= 0. Beyond its largest depth the force of the hertz contact law rises in proportion, so that
+the energy is convex for any displacement: an iteration may pass there, an equilibrium there is CONTACT_OVERLOAD.
 """
 
 import math
@@ -21,7 +22,7 @@ CONTACTS = ("hertz", "linear", "palmgren")
 # y(t) with y - ln y = t: y = 1 + sqrt(2) v + v^2 r(v), v = sqrt(t - 1), r from 2/3 to 1; r fitted to 1.4e-5 of y.
 _UPPER = (2 / 3, 0.5897162643963102, 0.14032115613249033)
 _LOWER = (1.0, 0.7672946271135289, 0.14082055400282797)
-_LEAST = 1e-3  # least y - 1: steeper than that is beyond any contact, but finite
+_LEAST = 0.04  # least y - 1: at 0.9992 of the depth with y = 1, which has no finite slope
 
 
 def force(law: str, depth: jax.Array, compliance: jax.Array, level: jax.Array | None) -> jax.Array:
@@ -44,17 +45,20 @@ def slope(law: str, depth: jax.Array, load: jax.Array, compliance: jax.Array) ->
     inside = jnp.where(pressed, depth, 1)
     if law == "palmgren":
         return jnp.where(pressed, 10 / 9 * load / inside, 0)
-    reserve = jnp.where(pressed, jnp.maximum(inside - compliance * load, _LEAST * inside), 1)  # c F (y - 1)
-    return load / reserve
+    return load / jnp.where(pressed, _reserve(inside, load, compliance), 1)
 
 
-def energy(law: str, depth: jax.Array, load: jax.Array, compliance: jax.Array) -> jax.Array:
+def energy(law: str, depth: jax.Array, load: jax.Array, compliance: jax.Array, level: jax.Array | None) -> jax.Array:
     """Energy stored at a depth, J; `load` is the force at this depth."""
     if law == "linear":
         return load * depth / 2
     if law == "palmgren":
         return 9 / 19 * load * depth
-    return load * (2 * depth - compliance * load) / 4  # c F^2 (2 y - 1) / 4
+    assert level is not None
+    most = largest_depth(compliance, level)
+    inside = load * (2 * depth - compliance * load) / 4  # c F^2 (2 y - 1) / 4
+    beyond = load * depth / 2 - jnp.square(most / (1 + _LEAST)) / (4 * compliance)
+    return jnp.where(depth < most, inside, beyond)
 
 
 def typical_slope(law: str, load: jax.Array, compliance: jax.Array, level: jax.Array | None) -> jax.Array:
@@ -68,8 +72,8 @@ def typical_slope(law: str, load: jax.Array, compliance: jax.Array, level: jax.A
 
 
 def largest_depth(compliance: jax.Array, level: jax.Array) -> jax.Array:
-    """Depth at which the force of the hertz contact law has no finite slope any more, m."""
-    return compliance * jnp.exp(level - 1)
+    """Depth up to which the hertz contact law holds, m."""
+    return compliance * (1 + _LEAST) * jnp.exp(level - (1 + _LEAST))
 
 
 @jax.custom_jvp
@@ -86,6 +90,7 @@ def _hertz(depth: jax.Array, compliance: jax.Array, level: jax.Array) -> jax.Arr
     both = 1 / (above * start)  # one division for two
     rough, part = ratio * above * both, start * both
     first = (level - start - log(rough)) * part
+    first = jnp.where(above > _LEAST, first, jnp.maximum(first, 0))  # beyond the largest depth y stays
     s = first
     for _ in range(3):
         s = first - part * s * s * (0.5 - s * (1 / 3 - s / 4))
@@ -96,9 +101,15 @@ def _hertz(depth: jax.Array, compliance: jax.Array, level: jax.Array) -> jax.Arr
 def _hertz_jvp(primals: PyTree, tangents: PyTree) -> tuple[jax.Array, jax.Array]:
     (depth, compliance, level), (ddepth, dcompliance, dlevel) = primals, tangents
     load = _hertz(depth, compliance, level)
-    reserve = jnp.maximum(depth - compliance * load, _LEAST * depth)  # c F (y - 1)
+    reserve = _reserve(depth, load, compliance)
     change = ddepth - depth / compliance * dcompliance - compliance * load * dlevel
     return load, load / reserve * change
+
+
+def _reserve(depth: jax.Array, load: jax.Array, compliance: jax.Array) -> jax.Array:
+    """Force over slope: c F (y - 1), and the depth beyond the largest one."""
+    reserve = depth - compliance * load
+    return jnp.where(reserve < 1.0001 * _LEAST / (1 + _LEAST) * depth, depth, reserve)
 
 
 def _rough_log(x: jax.Array) -> jax.Array:

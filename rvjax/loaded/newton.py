@@ -56,7 +56,7 @@ class Found(NamedTuple):
     residual: jax.Array  # (l,) gradient over the largest force
     largest: jax.Array  # (l,) force of any pin or joint on a disc, N
     converged: jax.Array  # (l,)
-    overload: jax.Array  # (l,) a pin or joint beyond its contact law, at the start or on the way
+    overload: jax.Array  # (l,) a pin or joint beyond its contact law at the last point
     finite: jax.Array  # (l,)
 
     @classmethod
@@ -180,7 +180,7 @@ def _round(layout: Layout, system: System, tour: _Tour, width: int, last: int = 
 def _begin(s: System, start: jax.Array, seated: jax.Array, steps: jax.Array) -> State:
     """At the start that is given; where that is NaN at zero, before the linear step."""
     warm = jnp.all(jnp.isfinite(start), axis=0)
-    return begun(jnp.where(warm[None], start, 0), seated, warm, ~warm & (s.load != 0), steps)
+    return begun(jnp.where(warm[None], start, 0), seated, ~warm & (s.load != 0), steps)
 
 
 def _found(state: State) -> Found:
@@ -291,7 +291,7 @@ def _merit(
         slope=folded(newton * g, 0),
         small=miss <= of.slack * jnp.maximum(max(1e-13, 32 * eps) * size, rounding),
         fine=jnp.isfinite(value) & folded(jnp.isfinite(newton), 0, by=jnp.logical_and),
-        over=functools.reduce(jnp.logical_or, over) & ~cold if over else jnp.zeros_like(cold),
+        over=functools.reduce(jnp.logical_or, over, jnp.zeros_like(cold)),
     )
 
 

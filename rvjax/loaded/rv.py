@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rvjax._jax.elementary import nonnegative
 from rvjax.designs import Contact, RVReducer
 from rvjax.errors import RVErrors
 from rvjax.geometry import material as of_contact, squared_pressure
@@ -199,14 +200,13 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
         if contact.pin_support is not None:
             level = level + 1 / (yielding * jnp.atleast_1d(contact.pin_support)[None])
     arms = jnp.broadcast_to(springs.turning_arm_bearing, (layout.discs, layout.links))
-    centring = 1e-8 * jnp.mean(arms)
     held: list[Scalar] = [0.0] * (layout.carried + 1)
     carrier_floats, sun_floats = _floats(layout)
     if carrier_floats:
         held += [springs.output_support] * 2
     if sun_floats:
         held += [springs.sun_support] * 2 + [springs.sun_torsion / involute.sun_base_radius**2]
-    play = [jnp.maximum(x, 0) for x in (errors.bearing_clearance, errors.support_clearance)]
+    play = [nonnegative(x) for x in (errors.bearing_clearance, errors.support_clearance)]
     # XLA copies cheap operations into every consumer, but computes a division once. Half of the program was copies.
     one, one_of_errors = jnp.where(e > 0, 1.0, 2.0).astype(dtype), jnp.where(read.gate.good, 1.0, 2.0).astype(dtype)
     seats = -_placed(full(errors.carrier_bore, (cranks.count, 2)), cranks.count)
@@ -230,8 +230,8 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
             stiffness=jnp.append(arms, jnp.broadcast_to(springs.support_bearing, (layout.links,))),
             clearance=jnp.concatenate([jnp.full((n,), x) for n, x in zip((arms.size, layout.links), play)]),
         ),
-        centring=centring,
-        support=centring + jnp.stack([jnp.asarray(x, dtype) for x in held]),
+        centring=1e-8 * jnp.mean(arms),
+        support=jnp.stack([jnp.asarray(x, dtype) for x in held]),
         load=1 / cranks.circle_radius,
     )
     # rr^2 / R* is `rounding`, so that 1 / R* = rounding / rr^2.

@@ -112,5 +112,5 @@ class System(NamedTuple):
     joints: Joints
     bearings: Bearings
     centring: Any  # () k0, N/m, of every unknown
-    support: Any  # (n,) k0, of the common bodies with their springs against the housing
+    support: Any  # (n,) N/m, springs of the common bodies against the housing, besides k0
     load: Any  # () N, torque over the length of the carrier rotation

@@ -125,7 +125,7 @@ def twisted(
 
     def lower(start: jax.Array, share: jax.Array) -> tuple[jax.Array, tuple[Found, SolveInfo]]:
         """Both signs at one size of the torque, from the solutions at the one before."""
-        found, info = jax.vmap(lambda torque, start: solve(layout, read, case.loaded(torque), start))(
+        found, info = jax.vmap(lambda torque, start: solve(layout, read, case.on_bench(torque), start))(
             sides * share, start
         )
         return jnp.where(succeeded(info.status)[:, None], found.q, jnp.nan), (found, info)
@@ -134,7 +134,7 @@ def twisted(
     found, infos = solved(scan(lower, cold, sizes)[1])
 
     def angle(torque: jax.Array, found: Found, status: jax.Array) -> jax.Array:
-        loaded = case.loaded(torque)
+        loaded = case.on_bench(torque)
         return turned(layout, loaded, placed(layout, loaded, found, status))
 
     error = jax.vmap(jax.vmap(angle))(sizes[:, None] * sides[None], found, infos.status)  # (n, 2)

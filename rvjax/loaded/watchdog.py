@@ -52,7 +52,6 @@ class Phase(NamedTuple):
 
     searching: jax.Array  # a point of the line
     cold: jax.Array  # zero, before the linear step
-    given: jax.Array  # a start that was given
     open: jax.Array  # there is one
     better: jax.Array  # the last point is the best
 
@@ -86,7 +85,7 @@ class State(NamedTuple):
     best: jax.Array  # (n, l)
     step: jax.Array  # (n, l) Newton's step from the best point
     numbers: jax.Array  # (10, l)
-    integers: jax.Array  # (10, l)
+    integers: jax.Array  # (9, l)
 
     @property
     def open(self) -> jax.Array:
@@ -118,13 +117,12 @@ class Merit(NamedTuple):
     over: jax.Array  # a pin or joint is beyond its contact law
 
 
-def begun(q: jax.Array, seated: jax.Array, warm: jax.Array, cold: jax.Array, steps: jax.Array) -> State:
+def begun(q: jax.Array, seated: jax.Array, cold: jax.Array, steps: jax.Array) -> State:
     """State before the first step.
 
     Args:
         q: first point (n, l).
         seated: (l,) there is a case.
-        warm: (l,) its start was given.
         cold: (l,) it begins with the linear step.
         steps: (l,) of rounds before.
     """
@@ -134,7 +132,7 @@ def begun(q: jax.Array, seated: jax.Array, warm: jax.Array, cold: jax.Array, ste
         line=Line(*[zero] * len(Line._fields)),
         reached=Reached(zero, zero),
         counts=Counts(jnp.zeros(seated.shape, jnp.int32), steps),
-        phase=Phase(searching=no, cold=cold, given=warm, open=seated, better=no),
+        phase=Phase(searching=no, cold=cold, open=seated, better=no),
         end=End(no, no, no),
     )
     return State(q, q, jnp.zeros_like(q), *packed(element, q.dtype))
@@ -169,10 +167,9 @@ def decided(numbers: jax.Array, integers: jax.Array, at: Merit, limit: jax.Array
     last = unpacked(numbers, integers)
     best, phase, stall = last.best, last.phase, last.counts.stall
     live, cold, searching = phase.open, phase.cold, phase.searching
-    usable = at.fine & ~at.over
-    again = phase.given & ~usable  # a given start beyond the contact law of a pin: the linear one instead
-    done = usable & at.small & ~cold
-    failed = jnp.isinf(best.energy) & ~usable & ~cold & ~again
+    usable = at.fine & (~at.over | (at.energy < best.energy))  # beyond the contact law if it is better there
+    done = at.fine & at.small & ~cold
+    failed = jnp.isinf(best.energy) & ~usable & ~cold
 
     # A full step is better where the energy is the lowest. A point of the line is where its slope is small, too.
     lower = usable & (at.energy < best.energy)
@@ -181,8 +178,8 @@ def decided(numbers: jax.Array, integers: jax.Array, at: Merit, limit: jax.Array
     exhausted = stall >= PATIENCE + SEARCHES
     better = ~cold & jnp.where(searching, (flat & (lower | (slope <= 0))) | exhausted, lower)
     full_slope = jnp.where(stall == 0, slope, last.line.full_slope)
-    stall = jnp.where(better | cold | again, 0, stall + 1)
-    enters = ~better & ~again & ~searching & ((stall >= PATIENCE) | (~usable & ~cold))
+    stall = jnp.where(better | cold, 0, stall + 1)
+    enters = ~better & ~searching & ((stall >= PATIENCE) | (~usable & ~cold))
     steps = last.counts.steps + (~(done | cold | searching)).astype(jnp.int32)  # points of a line are none
     element = Element(
         best=Best(jnp.where(better, at.energy, best.energy), jnp.where(better, at.slope, best.slope)),
@@ -194,15 +191,14 @@ def decided(numbers: jax.Array, integers: jax.Array, at: Merit, limit: jax.Array
         counts=Counts(stall, jnp.where(live, steps, last.counts.steps)),
         phase=Phase(
             searching=~better & (searching | enters),
-            cold=again,
-            given=jnp.zeros_like(again),
+            cold=jnp.zeros_like(cold),
             open=live & ~done & ~failed & (steps < limit),
             better=better,
         ),
         end=End(
-            converged=jnp.where(live, done, last.end.converged),
-            overload=jnp.where(live, (last.end.overload | at.over) & ~done & ~again, last.end.overload),
-            finite=jnp.where(live, at.fine | at.over | ~failed, last.end.finite),
+            converged=jnp.where(live, done & ~at.over, last.end.converged),
+            overload=jnp.where(live, at.over & ~cold, last.end.overload),
+            finite=jnp.where(live, ~failed, last.end.finite),
         ),
     )
     return packed(element, numbers.dtype)
@@ -239,7 +235,9 @@ def onward(
     best, step = (jnp.where(phase.better[None], new, old) for new, old in ((last.q, last.best), (newton, last.step)))
     whole = last.q + newton
     # Without a best point there is no finite energy: such an element has failed.
-    ended = jnp.where(element.end.converged[None], whole, jnp.where(jnp.isinf(element.best.energy)[None], 0, best))
+    # In float32 what the last step would balance is rounding: divided by a centring spring it crosses the clearance.
+    exact = whole if jnp.finfo(whole.dtype).eps < 1e-8 else last.q
+    ended = jnp.where(element.end.converged[None], exact, jnp.where(jnp.isinf(element.best.energy)[None], 0, best))
     point = jnp.where(phase.searching[None], best + element.line.share[None] * step, whole)
     point = jnp.where(phase.cold[None], 0, point)
     return jnp.where(last.open[None], jnp.where(phase.open[None], point, ended), last.q), best, step

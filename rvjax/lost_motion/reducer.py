@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from rvjax._ground.choices import choose
+from rvjax._jax.elementary import nonnegative
 from rvjax._reducer.plausible import checked
 from rvjax.designs import CycloidStage, RVReducer, expect
 from rvjax.errors import RVErrors, read_by
@@ -23,7 +24,7 @@ class LostMotion(Record):
     """Lost motion of one unit at its output."""
 
     total: Array = field("rad", "free angle; < 0 is interference (preload)")
-    play: Array = field("rad", "max(0, total)")
+    play: Array = field("rad", "max(0, total); at 0 with the slopes of the total")
     terms: LostMotionTerms = field("-", "every contribution", kind="record")
     valid: Array = field("-", "true where the status is CONVERGED", kind="integer")
     info: SolveInfo = field("-", "steps and slope left are those of the contact search", kind="record")
@@ -128,7 +129,7 @@ def _geometric(numbers: PyTree, *, reading: str, profile: str) -> LostMotion:
 
     of_search = converged(residual, steps)
     (total, terms), info = gate.close((total, terms), *found_wrong, info=of_search)
-    return LostMotion(total, jnp.maximum(total, 0), terms, info.status == Status.CONVERGED, info)
+    return LostMotion(total, nonnegative(total), terms, info.status == Status.CONVERGED, info)
 
 
 @checked

@@ -194,9 +194,12 @@ def _solve_jvp(plan: Plan, sign: float, primals: tuple[Given], tangents: tuple[G
     x, start, info = _solve(plan, sign, given)
     regular = succeeded(info.status) & jnp.isfinite(x)
     place = jnp.where(regular, x, 0)
-    _, linear = jax.linearize(lambda x, given: _resisting(plan, sign, given, x, start)[0], place, given)
-    slope = 1 - linear(jnp.ones_like(x), jax.tree.map(jnp.zeros_like, given))
+
+    def friction(x: jax.Array, given: Given) -> jax.Array:
+        return _resisting(plan, sign, given, x, start)[0]
+
+    slope = 1 - jax.jacfwd(friction)(place, given)  # `jax.linearize` would forget the rules of second derivatives
     regular &= slope != 0
-    dx = linear(jnp.zeros_like(x), change) / jnp.where(regular, slope, 1)
+    dx = jax.jvp(functools.partial(friction, place), (given,), (change,))[1] / jnp.where(regular, slope, 1)
     still = jax.custom_derivatives.zero_from_primal((start, info))
     return (x, start, info), (jnp.where(regular, dx, 0), *still)

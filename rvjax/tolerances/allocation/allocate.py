@@ -55,7 +55,7 @@ def allocate(
         seed: of these units; certificates use the seeds after it.
         joint_target: share of units that must meet all requirements at once, if wanted.
         correlation: {(field or element, field or element): correlation of their z}.
-        certificate_samples: independent units per certificate, at least; more are drawn where they save more than
+        certificate_samples: independent units per certificate, at least; more are used where they save more than
             2 % of the cost.
         confidence: of the certificate's intervals.
         grades: also round fields with a `size` to ISO 286 grades and fit the other fields to them.

@@ -33,7 +33,7 @@ FEW = 512
 SPARE = 0.85
 """Used way below which a limit does not decide."""
 
-_QUARTER = 4  # times as many quick units as are behind a slope
+_QUARTER = 2  # times as many quick units as are behind a slope, at least
 _STATISTIC = 1024  # costly units behind the slope of a statistic
 _HALVINGS = 16  # of a factor of 100: an error of 1e-4
 _STEP = 1e-4  # of differences of a worst case, part of a range
@@ -73,7 +73,7 @@ class Row:
 
 @dataclasses.dataclass(frozen=True)
 class Look:
-    """What was seen at one vector of decisions.
+    """Cost and used ways at one vector of decisions.
 
     Attributes:
         x: (n,) the vector.
@@ -101,7 +101,7 @@ class Look:
 
     @property
     def total(self) -> float:
-        """What the search minimises."""
+        """Cost, priced outputs and mean loss, which a search minimises."""
         return self.cost + self.priced + self.loss
 
     @property

@@ -27,7 +27,7 @@ FEWEST = 100
 KEPT = 65_536
 """Units of a certificate whose responses are kept, at most."""
 
-QUICK = 4096
+QUICK = 8192
 """Quick units of a sample: those in the tails leave an error of the cost below that of a certificate."""
 
 SPARE = 0.3
@@ -73,7 +73,7 @@ class Problem:
     max_steps: int
     run: Run
     memo: Memo | None
-    advance: Callable[[int], object] = lambda count: None
+    advance: Callable[[int], object]
 
     @functools.cached_property
     def decisions(self) -> Decisions:
@@ -149,7 +149,7 @@ def problem_of(
     )  # fmt: skip
     return Problem(
         response, population, required, priced, middles or {}, variables or {}, objective or {}, lost, joint_target,
-        samples, seed, max_steps, run, memo,
+        samples, seed, max_steps, run, memo, int,
     )  # fmt: skip
 
 

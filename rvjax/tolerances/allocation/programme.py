@@ -87,7 +87,7 @@ class Programme:
         self.low, self.high = self.decisions.low.copy(), self.decisions.high.copy()
         self._first = len(self.decisions.fields)
         self.bends = np.zeros((len(constraints.rows) + 1, self.decisions.size, self.decisions.size))
-        """Curvatures (c + 1, n, n) of powers of the used ways, and of the loss, in reaches; those of the model apart."""
+        """Learned curvatures (c + 1, n, n) of powers of the used ways, and of the loss, in reaches."""
         self._kept = self.bends
         self.weights: np.ndarray | None = None
         """Prices (c,) of excesses where these are all that counts, else None."""
@@ -216,7 +216,8 @@ class Programme:
             own[range(len(units)), n + units] = 1.0
             hessian = np.zeros((n + c + 1, n + c + 1))
             hessian[:n, :n] = counted * curved / size
-            hessian[range(first), range(first)] += np.maximum(lam @ bends[units], 0.0)
+            own_bends = np.diag(hessian)[:first] + lam @ bends[units]
+            hessian[range(first), range(first)] = np.maximum(own_bends, 0.0)
             hessian[:n, :n] += np.einsum("k,kij->ij", lam, curved_rows)
             objective = np.concatenate([counted * slopes, elastic, [counted * size]]) / size
             values = np.concatenate([1 + whole[n + units] - used[units], flat])
@@ -253,8 +254,8 @@ class Programme:
         bent = self._bent(moved)[-1]
         loss = here.loss + float((grown - here.loss_slopes[:first]).sum()) / 2
         loss += float(here.loss_slopes[first:] @ moved[first:] + bent @ moved / 2)
-        curved = np.diag(np.maximum(bends, 0.0))
-        curved[range(first), range(first)] += np.maximum(2 * grown, 0.0)
+        curved = np.diag(np.where(np.arange(len(bends)) < first, bends, np.maximum(bends, 0.0)))
+        curved[range(first), range(first)] += 2 * grown
         curved += self.bends[-1] / np.outer(self.decisions.reach, self.decisions.reach)
         return cost + loss, slopes + np.concatenate([grown, here.loss_slopes[first:]]) + bent, curved
 

@@ -58,7 +58,7 @@ class Allocation:
             there, and the `units` of the sample. Empty where there was one start only.
         multiplier_intervals: {requirement: interval of its multiplier at the confidence of the certificate} where
             units are costly: the sampling error of the units that the search solved.
-        curve: (least yield of a requirement, cost) of the `yields` that were asked for, ascending.
+        curve: (least yield of a requirement, cost) of the `yields`, ascending.
     """
 
     feasible: bool

@@ -16,7 +16,7 @@ from scipy import special
 PLAIN_SHARE = 0.25
 """Share of the units without importance: no weight exceeds its reciprocal."""
 
-_WIDE, _FEWEST = math.log(3), 16  # logarithm of a rank over that of a quantile, and units, that it is formed of
+_WIDE, _FEWEST = math.log(4), 16  # logarithm of a rank over that of a quantile, and units, that it is formed of
 _ALIKE = 0.9  # cosine of two directions that one centre serves
 _CENTRES = 8  # of one requirement, at most
 
