@@ -17,12 +17,12 @@ from rvjax.tolerances import allocate
 
 NEAR = {False: 1.0015, True: 1.004}
 """Cost over the least one for the share that was reached, of quick and of costly units."""
-PRICES = {False: 0.03, True: 0.06}
+PRICES = {False: 0.03, True: 0.1}
 """Error of a price, of slopes of a thousand and of some dozen units."""
 SLOPELESS = ("failing", "steps")
 """Of units whose slopes mislead only quick ones are searched along rays, where a price is known by few units.
 
-`test_tolerances_optimality.py` has steps by default.
+`test_tolerances_optimality.py` has steps, and failed units beside a capability, by default.
 """
 
 
@@ -39,7 +39,7 @@ def reached(case, found):
 
 
 @pytest.mark.parametrize("costly", [False, True])
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n == "steps")) for n in CASES])
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n in SLOPELESS)) for n in CASES])
 def test_the_end_is_the_known_optimum(name, costly):
     case = CASES[name]
     found = solved(case, costly)
@@ -62,21 +62,15 @@ def test_the_end_is_the_known_optimum(name, costly):
     assert found.evaluations["certificates"] >= found.certificate.samples
 
 
-@pytest.mark.parametrize(
-    ("name", "most"),
-    [
-        ("number inside", 1.05), ("number in a bend", 1.04), ("mean of a number", 1.01), ("rare pair", 1.01),
-        ("flank and diameter", 1.01),
-    ],
-)  # fmt: skip
-def test_a_small_problem_of_the_benchmark(name, most):
-    """What its certificate of 20,000 units costs, and its prices by differences."""
+@pytest.mark.parametrize("name", ["mean of a number", "rare pair", "flank and diameter"])
+def test_a_small_problem_of_the_benchmark(name):
+    """Within 1 %, and its prices by differences; those with a number or a mid-point inside are like the rows above."""
     due = PROBLEMS[name].make()
     given = dict(due.arguments)
     with one_start():
         found = allocate(given.pop("response"), given.pop("tolerances"), given.pop("requirements"), **given)
     assert found.status == PROBLEMS[name].right == "OPTIMAL"
-    assert 0.999 * due.optimum < found.cost < most * due.optimum
+    assert 0.999 * due.optimum < found.cost < 1.01 * due.optimum
     for output, price in due.prices.items():
         seen = found.multipliers[output] if output else found.multipliers
         assert seen == pytest.approx(price, rel=0.05)

@@ -142,7 +142,7 @@ def test_an_end_with_a_residual_is_searched_along_rays(monkeypatch):
     ends(monkeypatch, residual=0.5, of_widths=0.5, promised=0.5)
     found = allocate(linear, PAIR, BOTH, **FEW)
     reached = share(found.half_widths)
-    assert found.status == "OPTIMAL" and found.evaluations["sample"] == 16_384
+    assert found.status == "OPTIMAL" and found.evaluations["sample"] >= 16_384
     assert closed_cost(reached) * (1 - 1e-9) < found.cost < 1.002 * closed_cost(reached)
     costly = allocate(Lever(costly=True), PAIR, {"y": BOTH}, variables={"length": Variable(1.0, 1.0)}, **FEW)
     assert costly.status == "MAX_STEPS" and costly.certificate.verdicts["y"].met

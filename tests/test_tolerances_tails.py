@@ -74,7 +74,7 @@ def test_a_quantile_of_plain_units_is_that_of_the_normal_law(rejects, sides):
     z = stats.norm.ppf((np.random.default_rng(3).permutation(4000) + 0.5) / 4000)
     margins = z if sides == 1 else np.abs(z)
     due = stats.norm.isf(rejects / sides)
-    assert level(margins, rejects).level == pytest.approx(due, rel=0.015)
+    assert level(margins, rejects).level == pytest.approx(due, rel=0.02)
     known = max(rejects, 8 / 500)
     at = stats.norm.isf(known / sides)
     off = math.sqrt(known / 500) / (sides * stats.norm.pdf(at)) * (1 + math.log(known / rejects))
@@ -117,10 +117,10 @@ def test_weights_are_the_derivative_of_a_quantile():
 def test_failed_units_are_rejects_of_a_quantile():
     """5 % may be rejects. With 2 % failed, 3 % of all units lie beyond; with 5 % failed no limit is left."""
     margins = np.arange(1000) / 1000.0
-    assert level(margins, 0.05).level == pytest.approx(0.9495, abs=5e-3)
+    assert level(margins, 0.05).level == pytest.approx(0.9495, abs=0.01)
     margins[:20] = np.inf  # the best of them
     found = level(margins, 0.05)
-    assert found.level == pytest.approx(0.9695, abs=5e-3) and (found.units >= 20).all()
+    assert found.level == pytest.approx(0.9695, abs=0.01) and (found.units >= 20).all()
     margins[:50] = np.inf
     found = level(margins, 0.05)
     assert found.level == np.inf and not len(found.units)
