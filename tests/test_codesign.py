@@ -189,7 +189,7 @@ def test_costly_units_have_the_same_optimum(solved_lever):
     """Units of a costly response: plain ones, more and more of them."""
     found, plain = levered(Lever(costly=True)), solved_lever
     assert found.status == "OPTIMAL" and found.cost == pytest.approx(plain.cost, rel=0.03)
-    assert found.evaluations["search"] < 250_000
+    assert found.evaluations["search"] < 300_000
     assert found.ranges["length"] == pytest.approx(plain.ranges["length"], abs=0.1)
     assert plain.ranges["length"][0] < plain.values["length"] < plain.ranges["length"][1]
 

@@ -107,7 +107,7 @@ def paired(limit):
 def test_the_interval_of_a_price_of_half_widths_alone(monkeypatch):
     """The cost is in proportion to 1/limit. The price is that of the learned half-widths, certified ones cost 7 % more.
 
-    No unit is solved for an interval.
+    No further values of units are solved for an interval.
     """
     found, difference = paired(0.6), (paired(0.612).cost - paired(0.588).cost) / 0.024
     least, most = found.multiplier_intervals["w"]
@@ -116,4 +116,5 @@ def test_the_interval_of_a_price_of_half_widths_alone(monkeypatch):
     assert found.multiplier_intervals["y"] == pytest.approx((0.0, 0.0), abs=1e-6)
     monkeypatch.setattr(search, "intervals", lambda *given: {})
     without = paired(0.6)
-    assert (without.cost, without.evaluations) == (found.cost, found.evaluations)
+    assert without.cost == found.cost
+    assert 0 <= found.evaluations["search"] - without.evaluations["search"] <= 512  # gradients

@@ -9,14 +9,21 @@ import math
 
 import numpy as np
 import pytest
+from codesign_cases import one_start
 from optima_cases import CASES
 
+from benchmarks.optima_problems import PROBLEMS
 from rvjax.tolerances import allocate
 
 NEAR = {False: 1.0015, True: 1.004}
 """Cost over the least one for the share that was reached, of quick and of costly units."""
+PRICES = {False: 0.03, True: 0.06}
+"""Error of a price, of slopes of a thousand and of some dozen units."""
 SLOPELESS = ("failing", "steps")
-"""Of units whose slopes mislead only quick ones are searched along rays."""
+"""Of units whose slopes mislead only quick ones are searched along rays, where a price is known by few units.
+
+`test_tolerances_optimality.py` has steps by default.
+"""
 
 
 def solved(case, costly, **changes):
@@ -32,7 +39,7 @@ def reached(case, found):
 
 
 @pytest.mark.parametrize("costly", [False, True])
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n == "steps")) for n in CASES])
 def test_the_end_is_the_known_optimum(name, costly):
     case = CASES[name]
     found = solved(case, costly)
@@ -40,16 +47,42 @@ def test_the_end_is_the_known_optimum(name, costly):
         assert found.status in ("MAX_STEPS", "NOT_CERTIFIED") and found.residual > 0.1
         return
     share, errors = reached(case, found)
-    assert found.status == "OPTIMAL" and found.residual < 0.1
+    assert found.status == "OPTIMAL" and found.residual < (0.2 if costly else 0.1)
     assert 0 < errors < 5
     assert found.certificate.verdicts["y"].met and found.certificate.verdicts["y"].estimate.lower >= case.target
     least = case.least(share)[0]
     assert (1 - 1e-5) * least <= found.cost < NEAR[costly] * least
     assert found.learned <= found.cost < 1.06 * found.learned and found.start_cost > found.cost
     price = case.price(share)
-    assert found.multipliers["y"] == pytest.approx(price, rel=0.4 if name == "steps" else 0.03)
+    assert found.multipliers["y"] == pytest.approx(price, rel=0.5 if name in SLOPELESS else PRICES[costly])
     if costly:
         low, high = found.multiplier_intervals["y"]
         assert low < found.multipliers["y"] < high and abs(found.multipliers["y"] - price) < high - low  # 4 errors
         assert found.evaluations["sample"] == (16_384 if case.target > 0.99 else 4096)
     assert found.evaluations["certificates"] >= found.certificate.samples
+
+
+@pytest.mark.parametrize(
+    ("name", "most"),
+    [
+        ("number inside", 1.05), ("number in a bend", 1.04), ("mean of a number", 1.01), ("rare pair", 1.01),
+        ("flank and diameter", 1.01),
+    ],
+)  # fmt: skip
+def test_a_small_problem_of_the_benchmark(name, most):
+    """What its certificate of 20,000 units costs, and its prices by differences."""
+    due = PROBLEMS[name].make()
+    given = dict(due.arguments)
+    with one_start():
+        found = allocate(given.pop("response"), given.pop("tolerances"), given.pop("requirements"), **given)
+    assert found.status == PROBLEMS[name].right == "OPTIMAL"
+    assert 0.999 * due.optimum < found.cost < most * due.optimum
+    for output, price in due.prices.items():
+        seen = found.multipliers[output] if output else found.multipliers
+        assert seen == pytest.approx(price, rel=0.05)
+
+
+def test_a_constant_that_misses_its_limit():
+    given = dict(PROBLEMS["constant miss"].make().arguments)
+    found = allocate(given.pop("response"), given.pop("tolerances"), given.pop("requirements"), **given)
+    assert (found.status, found.feasible) == ("INFEASIBLE", False) and found.shortfall == pytest.approx(0.2)

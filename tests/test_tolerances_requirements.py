@@ -126,7 +126,7 @@ def test_cheapest_half_widths_for_a_mean():
     assert found.status == "OPTIMAL" and found.certificate.verdicts.estimate.upper <= 5 * um
     assert a / b == pytest.approx(math.sqrt(4 / 3), rel=0.02)
     assert exact <= found.cost < 1.001 * exact
-    assert found.multipliers == pytest.approx(-found.learned / (5 * um), rel=0.02)
+    assert found.multipliers == pytest.approx(-found.cost / (5 * um), rel=0.02)
 
 
 def test_kinds_stand_beside_each_other_and_a_joint_target():

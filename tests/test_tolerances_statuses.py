@@ -10,10 +10,10 @@ from types import SimpleNamespace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import stats
+from codesign_cases import one_start
 
-from oracles.linear_pair import COSTS, LIMIT, PAIR, above, closed_cost, linear, share
-from oracles.responses import Failing, Lever
+from oracles.linear_pair import COSTS, LIMIT, PAIR, closed_cost, linear, share
+from oracles.responses import Lever
 from rvjax.tolerances import Middle, Nominal, QuadraticLoss, ReciprocalPower, Requirement, Tolerance, Variable, allocate
 from rvjax.tolerances.allocation import programme
 from rvjax.tolerances.allocation.certificate import Certifier
@@ -30,19 +30,21 @@ COST = ReciprocalPower(reference=1.0, finest=0.05, coarsest=5.0)
 def test_optimal_needs_every_part_of_the_promise():
     """All ends: certified or not, limits exact or not, dear, settled, at an optimum by slopes, by values or by neither.
 
-    Values along rays are no proof where there is a loss, or a limit on a statistic.
+    Values along rays are no proof where there is a loss, or a limit on a statistic. Slopes of few costly units have
+    some residual where the model promises next to nothing.
     """
     share, statistic = SimpleNamespace(share=True, nominal=False), SimpleNamespace(share=False, nominal=False)
-    for certified, exact, dear, settled, near, rays, loss, mean in itertools.product((True, False), repeat=8):
+    for flags in itertools.product((True, False), repeat=9):
+        certified, exact, dear, settled, near, rays, loss, mean, costly = flags
         search = SimpleNamespace(
             certifier=SimpleNamespace(holds=lambda seen, c=certified: c),
             constraints=SimpleNamespace(missed=lambda look, e=exact: -1.0 if e else 1e-6),
-            problem=SimpleNamespace(losses={"y": 1} if loss else {}), _rays=object() if rays else None,
+            problem=SimpleNamespace(losses={"y": 1} if loss else {}, costly=costly), _rays=object() if rays else None,
         )  # fmt: skip
         search.constraints.rows = [share, statistic] if mean else [share]
         end = SimpleNamespace(
             look=SimpleNamespace(cost=1.0, priced=0.21 if dear else 0.19), settled=settled,
-            residual=0.09 if near else 0.11, promised=0.01,
+            residual=0.09 if near and not costly else 0.11, promised=0.004 if near else 0.006,
         )  # fmt: skip
         status, good = Search._status(search, None, end, 1.0), certified and exact
         assert (status == "NOT_CERTIFIED") == (not good)
@@ -56,33 +58,27 @@ def stepped(e):
     return jnp.ceil(jnp.abs(linear(e)) / (2 * um)) * 2 * um
 
 
-def test_a_response_in_steps_is_searched_by_values_beside_a_mid_point_that_cannot_move():
-    """Its slopes are those of other units: a residual of one half. test_tolerances_optimality.py has no mid-point."""
-    found = allocate(stepped, PAIR, Requirement(upper=20.1 * um, target=0.99), middles=STILL, **FEW)
-    reached = share(found.half_widths, 20 * um)
-    assert found.status == "OPTIMAL" and 0 < above(reached, 0.99, UNITS) < 5
-    assert found.cost < 1.005 * closed_cost(reached, 20 * um)
-    price = (closed_cost(0.99, 22 * um) - closed_cost(0.99, 20 * um)) / (2 * um)
-    assert 3 * price < found.multipliers < price / 3 < 0
+def test_a_loss_that_no_slope_shows_is_not_called_optimal():
+    """In steps units have no slopes, and along rays only limits are compared: it costs 5 % more than in closed form."""
+    response = lambda e: jnp.ceil(jnp.abs(linear(e)) / (4 * um)) * 4 * um - 2 * um  # noqa: E731
+    loss, required = QuadraticLoss(2.0, 5 * um), Requirement(upper=200 * um, target=0.99)
+    found = allocate(response, PAIR, required, losses=loss, **FEW)
+    assert found.status == "MAX_STEPS" and found.certificate.verdicts.met and found.residual > 0.1
 
 
-def test_units_that_fail_are_searched_by_values_beside_a_mid_point_that_cannot_move():
-    edge = 15 * um  # units with a larger |b| fail
-    fragile = Failing({"a": 1.0, "b": 0.0}, {"a": 1.0, "b": edge})
-    found = allocate(fragile, PAIR, BOTH, middles=STILL, **FEW)
-    a, b = (2 * stats.norm.cdf(3 * far / found.half_widths[n]) - 1 for n, far in (("a", LIMIT), ("b", edge)))
-    assert found.status == "OPTIMAL" and 0 < above(a * b, 0.99, UNITS) < 5
-
-
-@pytest.mark.parametrize("extra", [pytest.param("moving", marks=pytest.mark.long), "loss"])
-def test_what_was_not_compared_by_values_is_not_called_optimal(extra):
-    more = dict(middles={"a": Middle(-5 * um, 5 * um)}) if extra == "moving" else {}
-    more |= dict(losses=QuadraticLoss(1e-3, 10 * um)) if extra == "loss" else {}
-    found = allocate(stepped, PAIR, Requirement(upper=20.1 * um, target=0.99), **more, **FEW)
-    assert found.status == "MAX_STEPS" and found.certificate.yield_.lower >= 0.99
+@pytest.mark.long
+def test_steps_beside_a_mid_point_that_may_move():
+    """They are compared by values, too: the mid-point need not move."""
+    moves = {"a": Middle(-5 * um, 5 * um)}
+    with one_start():
+        found = allocate(stepped, PAIR, Requirement(upper=20.1 * um, target=0.99), middles=moves, **FEW)
+    assert found.certificate.verdicts.met and found.status in ("OPTIMAL", "MAX_STEPS")
+    if found.status == "OPTIMAL":
+        assert found.cost < 1.02 * closed_cost(0.99, 20 * um) * 1.03  # of the share that a certificate wants
 
 
 @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.long) for k in range(2, 6))])
+@one_start()
 def test_a_limit_without_errors_that_no_number_can_meet(seed):
     """c/size^p <= limit with size <= most: the least is c/most^p."""
     random = np.random.default_rng(seed)
@@ -99,6 +95,7 @@ def test_a_limit_without_errors_that_no_number_can_meet(seed):
     assert found.helps == ("size", "upper") and f"than {most:.6g} (SI)" in found.reason
 
 
+@one_start()
 def test_a_limit_without_errors_has_no_margin():
     """d^2 >= 4.039 with d <= 2 is missed by 1 %, 4.004 by 0.1 %, and 3.96 is met to the last digit, at its price."""
 
@@ -142,7 +139,7 @@ def test_an_end_that_ran_out_of_steps(monkeypatch):
 
 def test_an_end_with_a_residual_is_searched_along_rays(monkeypatch):
     """Quick units; of costly ones it is no optimum."""
-    ends(monkeypatch, residual=0.5, promised=0.5)
+    ends(monkeypatch, residual=0.5, of_widths=0.5, promised=0.5)
     found = allocate(linear, PAIR, BOTH, **FEW)
     reached = share(found.half_widths)
     assert found.status == "OPTIMAL" and found.evaluations["sample"] == 16_384
