@@ -1,4 +1,4 @@
-"""Frozen table of 40 allocations: cost, status, prices, units and CPU seconds, to compare changes with.
+"""Frozen table of 56 allocations: cost, status, prices, units and CPU seconds, to compare changes with.
 
     python -m benchmarks.optima                                   all rows; a cut run continues
     python -m benchmarks.optima --only study "long lists"         rows by name or kind

@@ -13,7 +13,7 @@ from rvjax.tolerances.allocation.allocate import allocate
 from rvjax.tolerances.allocation.cost import COSTS as COSTS, Cost as Cost, Exponential, ReciprocalPower, Table
 from rvjax.tolerances.allocation.curve import CostCurve, cost_curve
 from rvjax.tolerances.allocation.nominal import Nominal
-from rvjax.tolerances.allocation.problem import FEWEST as FEWEST, KEPT as KEPT
+from rvjax.tolerances.allocation.problem import FEWEST as FEWEST, KEPT as KEPT, QUICK as QUICK
 from rvjax.tolerances.allocation.result import Allocation
 from rvjax.tolerances.allocation.search import least_yield as least_yield
 from rvjax.tolerances.allocation.variable import Middle, Variable, check_middles as check_middles

@@ -4,7 +4,7 @@ from rvjax._ground.progress import spelled
 from rvjax.commands.forecast import unit_seconds
 from rvjax.response import BLOCK
 from rvjax.study import Study
-from rvjax.tolerances import COSTLY_UNITS, KEPT
+from rvjax.tolerances import COSTLY_UNITS, KEPT, QUICK
 
 SEARCHING, CERTIFYING = "cheapest tolerances", "yield before"  # phases of a run
 SAMPLING, PRICING = "sample units", "cost against yield"
@@ -13,11 +13,11 @@ FEWEST_BEYOND = 8  # units of the learning sample beyond a limit, below which a 
 YIELD_SWEEP = (0.9, 0.95, 0.99, 0.995, 0.999)
 
 # Counted in results of rv-40e, with moving mid-points and half-widths rounded to grades, and of rv-40e-whole.
-PASSES = {True: 108, False: 49}  # of a search over its learning sample, with and without moving mid-points
+PASSES = {True: 60, False: 24}  # of a search and its cost curve over its sample, with and without moving mid-points
 CERTIFICATES = {True: 5, False: 4}
 PASSES_A_POINT = 6  # of the cost curve
-# The same of rv-40e-whole, whose units are costly: passes solve those that decide, certificates share a sample.
-COSTLY_PASSES, COSTLY_CERTIFICATES, COSTLY_PART_OF_A_POINT = 5, 1.2, 0.4
+# The same of rv-40e-whole, whose units are costly: the sample grows, and a point of the cost curve has few units.
+COSTLY_PASSES, COSTLY_CERTIFICATES, COSTLY_POINT = 13, 6, 8192
 COMPILING = {True: "30 s for a loaded RV-40E, 60 s", False: "20 s for an RV-40E, 45 s"}
 
 
@@ -28,13 +28,13 @@ def solved_units(study: Study) -> dict[str, int]:
     if study.costly:
         found = {
             SEARCHING: COSTLY_PASSES * study.samples + COSTLY_CERTIFICATES * drawn,
-            CERTIFYING: 0,  # units of the search
+            CERTIFYING: min(drawn, QUICK),
             SAMPLING: COSTLY_UNITS * (1 + len(study.fields)) + shown,
-            PRICING: points * COSTLY_PART_OF_A_POINT * (study.samples + drawn / 2),
+            PRICING: points * COSTLY_POINT,
         }
     else:
         found = {
-            SEARCHING: PASSES[middles] * study.samples + CERTIFICATES[middles] * drawn,
+            SEARCHING: PASSES[middles] * QUICK + CERTIFICATES[middles] * drawn,
             CERTIFYING: drawn,
             SAMPLING: shown,
             PRICING: points * (PASSES_A_POINT * study.samples + shown_values(study)),

@@ -29,7 +29,7 @@ _BEYOND = 40  # units of the last sample beyond each limit that decides
 _STAGES = 2048, 4096  # costly units of samples between the first and the last one
 _MOST = 16_384  # costly units of a sample, at most
 _TESTS = 6  # certificates of one search, at most
-_WORTH = 1e-3  # gain of the cost, as a part of it, for which another one is computed
+_WORTH = 1e-3, 4e-3  # gain of the cost, as a part of it, for which another one of quick, of costly units is computed
 _MORE, _TIMES = 0.02, 4  # part of the cost that more certificate units must save, and how many more at most
 _CHANGED = 0.03  # logarithm of wanted rejects, by which a search along rays is repeated
 _EXACTLY = 1e-9  # excess of a limit without sampling error that is rounding
@@ -233,7 +233,7 @@ class Search:
             )
             rejects = np.where((rejects >= failed_at) | (rejects < held_at), between, rejects)
             gain = self._gain(end, rejects, moved)
-            if (held and gain < _WORTH * abs(end.look.total)) or certifier.hopeless():
+            if (held and gain < _WORTH[self.problem.costly] * abs(end.look.total)) or certifier.hopeless():
                 break
             if held and test and best is not None and end is not best[0]:  # looser, and dearer
                 break

@@ -185,6 +185,7 @@ def _search(state: LimitState, starts: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 def _goal(z: np.ndarray, g: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rackwitz and Fiessler 1978: z' = (slope . z - g) slope / |slope|^2, nan without slope; and |slope|."""
+    slope = np.where(np.isfinite(slope), slope, np.nan)
     square = np.sum(slope**2, axis=0)
     square = np.where((square > 0) & np.isfinite(g), square, np.nan)
     g = np.where(np.isfinite(g), g, np.nan)
