@@ -12,7 +12,7 @@ from rvjax.population import Population, Tolerance
 from rvjax.tolerances.allocation.cost import Cost, Costs
 from rvjax.tolerances.allocation.variable import Middle, Variable
 
-KEPT = 4
+KEPT = 8
 """Vectors whose units are kept: a step that was not taken, or a scaled one, goes back to an earlier one."""
 
 _STEP = 1e-4  # of differences of a cost, part of a range

@@ -34,7 +34,7 @@ _MORE, _TIMES = 0.02, 4  # part of the cost that more certificate units must sav
 _CHANGED = 0.03  # logarithm of wanted rejects, by which a search along rays is repeated
 _EXACTLY = 1e-9  # excess of a limit without sampling error that is rounding
 _LOOKS = 14  # of a start on a small sample
-_RAYS = 4  # times as many units of a sample that is looked at along rays, which are not in the tails
+_RAYS = 2  # times as many units of a sample that is looked at along rays, which are not in the tails
 _RIVALS = 3  # ends of starts that are searched on
 _INWARD = (
     0.05,

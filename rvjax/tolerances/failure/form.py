@@ -194,6 +194,7 @@ def _goal(z: np.ndarray, g: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, 
 
 def _converged(z: np.ndarray, g: np.ndarray, slope: np.ndarray) -> np.ndarray:
     """On the limit, and z along the slope; false where anything is nan."""
+    slope = np.where(np.isfinite(slope), slope, np.nan)
     size, length = np.linalg.norm(slope, axis=0), np.linalg.norm(z, axis=0)
     on_limit = np.abs(g) <= _ON_LIMIT * (1 + length) * size
     along = np.abs(np.sum(slope * z, axis=0))
