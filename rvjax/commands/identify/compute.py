@@ -84,7 +84,7 @@ class Identified:
     def converged(self) -> bool:
         """True if every unit has the status CONVERGED: one solution, whose intervals hold."""
         found = [] if self.posterior is None else [self.posterior.status]
-        found += [] if self.batch is None else self.batch.status
+        found += [] if self.batch is None else list(self.batch.status)
         return all(status == "CONVERGED" for status in found)
 
     @property
