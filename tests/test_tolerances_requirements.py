@@ -116,7 +116,7 @@ def test_cheapest_half_widths_for_a_capability():
 
 
 @pytest.mark.xfail(
-    reason="the price of a mean is 2.3 % off, because the cushion of a certificate has a slope for equal growth only",
+    reason="the price of a mean is 2.3 % off",
     strict=False,
 )
 def test_cheapest_half_widths_for_a_mean():
