@@ -228,7 +228,6 @@ def test_a_fresh_result_takes_the_place_of_the_stored_one(answers, undrawn, here
     assert cli.main([*command, "--fresh"]) == 0 and "Results: results/small-2\n" in capsys.readouterr().out
 
 
-@pytest.mark.xfail(reason="counts of the one search", strict=False)
 def test_an_answer_solves_about_as_many_units_as_check_tells(answers, answered):
     """Within a factor of two: passes and certificates are those of the searches before, this one has its own."""
     study, allocation = answers[SMALL].study, answers[SMALL].allocation

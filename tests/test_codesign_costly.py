@@ -94,7 +94,6 @@ class Opposed(Record):
         return {"u": m + a + 0.3 * c + 0.1 * a * c, "w": (1 + b - 0.2 * c) / m**2, "q": a - b + 0.5 * c * m}
 
 
-@pytest.mark.xfail(reason="up to six certificates", strict=False)
 @pytest.mark.parametrize("seed", [5, 7])
 def test_limits_that_oppose_each_other_are_certified_soon(monkeypatch, seed):
     """If a met limit were loosened as far as it seems, both would miss in turn."""
@@ -134,12 +133,14 @@ def at_its_limit(power, weights, **given):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(("seed", "units", "most"), [(0, 8000, 0.7), (5, 8000, 0.7), (7, 8000, 0.7), (0, 70_000, 0.7)])
-def test_room_that_a_certificate_sees_is_used_where_the_centre_is_at_the_limit(seed, units, most):
+@pytest.mark.parametrize(
+    ("seed", "units"), [(0, 8000), (0, 70_000), *(pytest.param(k, 8000, marks=pytest.mark.long) for k in (5, 7))]
+)
+def test_room_that_a_certificate_sees_is_used_where_the_centre_is_at_the_limit(seed, units):
     """1 + c - (the sum of five squares) exceeds 1 in E F(c) of the units, with the law F of chi squared."""
     found = at_its_limit(1.0, np.ones(5), seed=seed, certificate_samples=units)
     share = found.certificate.verdicts["play"].estimate
-    assert found.status == "OPTIMAL" and 0.99 <= share.lower <= 0.99 + most * share.error
+    assert found.status == "OPTIMAL" and 0.99 <= share.lower <= 0.99 + 0.7 * share.error
     sd = found.half_widths["c"] * found.values["m"] / 3
     exact, _ = integrate.quad(lambda z: stats.chi2.cdf(sd * z, 5) * stats.norm.pdf(z), 0, 8)
     assert 0.006 < exact < 0.01  # 0.0079 leaves the interval of 8000 units just above 99 %, 0.0093 that of 70,000

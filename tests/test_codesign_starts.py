@@ -105,7 +105,6 @@ def paired(limit):
     )  # fmt: skip
 
 
-@pytest.mark.xfail(reason="units of an end before the last ones are solved again", strict=False)
 def test_the_interval_of_a_price_of_half_widths_alone(monkeypatch):
     """The cost is in proportion to 1/limit. The price is that of the learned half-widths, certified ones cost 7 % more.
 

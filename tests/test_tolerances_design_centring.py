@@ -116,6 +116,7 @@ def test_a_middle_moves_where_finer_is_not_better():
             dict.fromkeys("ab", Tolerance.symmetric(1.0)),
             need,
             costs=dict.fromkeys("ab", cost),
+            seed=1,
             certificate_samples=90_000,
             middles={"a": Middle(-1.0, 1.0)},
         )

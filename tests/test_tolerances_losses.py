@@ -136,7 +136,6 @@ class Costly:
         return linear(errors)
 
 
-@pytest.mark.xfail(reason="the one search solves more units of a loss", strict=False)
 def test_costly_units_are_few():
     """Slopes of 1024 units know a half-width to 3 %, which costs 0.1 %."""
     found = allocate(Costly(), parts(), {}, losses={"y": LOSS}, **(FEW | dict(certificate_samples=4096)))

@@ -115,10 +115,6 @@ def test_cheapest_half_widths_for_a_capability():
     assert curve.costs[0] == pytest.approx(capable(curve.allocations[0], 1.0), rel=0.001)
 
 
-@pytest.mark.xfail(
-    reason="the price of a mean is 2.3 % off",
-    strict=False,
-)
 def test_cheapest_half_widths_for_a_mean():
     found = allocate(linear, OFF, MeanWithin(upper=5 * um), **FEW)
     a, b = found.half_widths.values()

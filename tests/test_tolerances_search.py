@@ -89,9 +89,10 @@ def test_few_steps_are_no_optimum(costly, most):
         assert found.cost < 1.004 * LINE.least(reached(found))[0]
 
 
-def test_certificates_of_costly_units_hold(thorough):
+@pytest.mark.long
+def test_certificates_of_costly_units_hold():
     """Of 95 % intervals one end in 40 may miss. More would miss than the bound once in 500 trials."""
-    runs = 200 if thorough else 6
+    runs = 100
     need = {"y": Requirement(lower=-1.0, upper=1.0, target=0.9)}
     found = [solved(requirements=need, samples=512, certificate_samples=1024, seed=7 * k) for k in range(runs)]
     assert all(item.status in ("OPTIMAL", "SUBOPTIMAL") for item in found)

@@ -77,7 +77,7 @@ def test_steps_beside_a_mid_point_that_may_move():
         assert found.cost < 1.02 * closed_cost(0.99, 20 * um) * 1.03  # of the share that a certificate wants
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.long) for k in range(2, 6))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.long) for k in range(1, 6))])
 @one_start()
 def test_a_limit_without_errors_that_no_number_can_meet(seed):
     """c/size^p <= limit with size <= most: the least is c/most^p."""
@@ -137,7 +137,6 @@ def test_an_end_that_ran_out_of_steps(monkeypatch):
     assert allocate(linear, PAIR, BOTH, **FEW).status == "MAX_STEPS"
 
 
-@pytest.mark.xfail(reason="sizes of samples along rays", strict=False)
 def test_an_end_with_a_residual_is_searched_along_rays(monkeypatch):
     """Quick units; of costly ones it is no optimum."""
     ends(monkeypatch, residual=0.5, of_widths=0.5, promised=0.5)

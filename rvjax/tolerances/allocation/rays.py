@@ -16,7 +16,6 @@ _INWARD, _OUTWARD = 5.0, 0.7  # reach of a ray, logarithm of the factor
 _IDLE = 0.5  # with a larger factor than this, its logarithm, a limit does not bind
 _STEP, _PART = 0.15, 0.05  # of differences, logarithm of a half-width or part of a range: several units cross
 _MOVED = 0.05, 0.1, 0.2  # parts of its way by which a limit is moved for its price, until that changes something
-_SURE = 0.8  # part of the failed units that may be, which a certificate shows
 _FINE, _COARSE = 1e-3, 3e-3  # accuracy of a place on a ray and of a difference
 
 
@@ -26,7 +25,9 @@ class Rays:
     def __init__(self, constraints: Constraints) -> None:
         self._constraints, self._first = constraints, len(constraints.decisions.fields)
         self._shares = np.array([row.share or row.name == FAILED for row in constraints.rows], bool)
-        self._rejects = np.where([row.share for row in constraints.rows], 0.0, _SURE * (constraints.most_failed or 0.0))
+        most = constraints.most_failed
+        sure = 0.0 if most is None else constraints.problem.shown(1 - most, constraints.problem.run.samples)
+        self._rejects = np.where([row.share for row in constraints.rows], 0.0, sure)
         """Failed units (c,) that a certificate allows; 0 for limits on shares."""
 
     def look(self, x: np.ndarray) -> Look:
