@@ -10,6 +10,7 @@ import dataclasses
 from rvjax.population import Estimate, MeasuredColumn, MeasuredParts, Tolerance, for_design, it_width, measured, sample
 from rvjax.response import Outcome
 from rvjax.tolerances.allocation.allocate import allocate
+from rvjax.tolerances.allocation.certificate import units_of as units_of
 from rvjax.tolerances.allocation.cost import COSTS as COSTS, Cost as Cost, Exponential, ReciprocalPower, Table
 from rvjax.tolerances.allocation.curve import CostCurve, cost_curve
 from rvjax.tolerances.allocation.nominal import Nominal

@@ -4,7 +4,7 @@ from rvjax._ground.progress import spelled
 from rvjax.commands.forecast import unit_seconds
 from rvjax.response import BLOCK
 from rvjax.study import Study
-from rvjax.tolerances import COSTLY_UNITS, KEPT, QUICK
+from rvjax.tolerances import COSTLY_UNITS, KEPT, QUICK, units_of
 
 SEARCHING, CERTIFYING = "cheapest tolerances", "yield before"  # phases of a run
 SAMPLING, PRICING = "sample units", "cost against yield"
@@ -34,7 +34,7 @@ def solved_units(study: Study) -> dict[str, int]:
         }
     else:
         found = {
-            SEARCHING: PASSES[middles] * QUICK + CERTIFICATES[middles] * drawn,
+            SEARCHING: PASSES[middles] * QUICK + CERTIFICATES[middles] * units_of(study.requirements, drawn),
             CERTIFYING: drawn,
             SAMPLING: shown,
             PRICING: points * (PASSES_A_POINT * study.samples + shown_values(study)),

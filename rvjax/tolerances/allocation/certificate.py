@@ -5,7 +5,7 @@ counts: its share can be wrong only if the sample already errs at the vector who
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -39,7 +39,7 @@ class Certifier:
         self.drawn += 1
         self.solved += self.run.samples
         found = dataclasses.replace(self.run, population=population).statistics()
-        better = self._rare(population)
+        better = self._rare_verdicts(population)
         if not better:
             return found
         shares = found.yield_ | {name: verdict.estimate for name, verdict in better.items()}
@@ -75,9 +75,7 @@ class Certifier:
 
     def rare(self, item: Limits) -> bool:
         """True if a probability of failure certifies a limit."""
-        n, target = self.run.samples, getattr(item, "target", 0.0)
-        few = not self._problem.costly and item.of_shares and n * (1 - target) < _EXPECTED
-        return few or item.beyond(n, self.run.confidence)
+        return _rare(item, self.run.samples, self.run.confidence, costly=self._problem.costly)
 
     def wanted(self, constraints: Constraints, k: int) -> float:
         """Share of rejects that a certificate may show of a row on a share.
@@ -93,14 +91,13 @@ class Certifier:
             else self._problem.shown(1 - target, self.run.samples)
         )
 
-    def _rare(self, population: Population) -> dict[str, Verdict]:
+    def _rare_verdicts(self, population: Population) -> dict[str, Verdict]:
         """Verdicts on the targets that the units of a certificate are too few for."""
         n, confidence, verdicts = self.run.samples, self.run.confidence, {}
         for name, item in self.run.requirements.items():
             if not self.rare(item):
                 continue
-            count = min(max(n, _RARE[0]), _RARE[1])
-            self.solved += count
+            self.solved += (count := _rare_units(n))
             found = failure_probability(self.run.response, population, {name: item}, samples=count, seed=self.run.seed)
             of: Callable[[Any], Any] = lambda figure: figure if name == PLAIN else figure[name]  # noqa: B023, E731
             failing, trusted = of(found.probability), set(of(found.status).split(", ")) <= _TRUSTED
@@ -151,3 +148,24 @@ class Certifier:
             ratio = reached[k] / rejects[k] * wanted / shown
             rejects[k] = min(rejects[k] * float(np.clip(ratio, 1 / _MOST, _MOST)), 0.5)
         return rejects, moved
+
+
+def units_of(requirements: Mapping[str, Limits], samples: int, confidence: float = 0.95) -> int:
+    """Quick units that one certificate solves, with those of probabilities of failure.
+
+    Args:
+        requirements: by name of the response.
+        samples: independent units of a certificate.
+        confidence: of its intervals.
+    """
+    few = sum(_rare(item, samples, confidence, costly=False) for item in requirements.values())
+    return samples + few * _rare_units(samples)
+
+
+def _rare(item: Limits, samples: int, confidence: float, *, costly: bool) -> bool:
+    few = not costly and item.of_shares and samples * (1 - getattr(item, "target", 0.0)) < _EXPECTED
+    return few or item.beyond(samples, confidence)
+
+
+def _rare_units(samples: int) -> int:
+    return min(max(samples, _RARE[0]), _RARE[1])
