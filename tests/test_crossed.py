@@ -91,7 +91,7 @@ def test_an_answer_is_judged_by_another_study(folder, capsys, monkeypatch):
     seen = []
     monkeypatch.setattr(progress.Phases, "detail", lambda self, note, part=0.0: seen.append((self.name, note)))
     assert cli.main(["compare", "a", "--on", "judge.toml", "--format", "json"]) == 0
-    assert ("units of A", "Monte Carlo 100 %") in seen
+    assert ("units of A", "Monte Carlo, 4,096 of 4,096 units") in seen
     found = json.loads(capsys.readouterr().out)
     assert found["on"]["study"] == "judge" and list(found) == ["on"]
     one = found["on"]["answers"]["a"]

@@ -204,7 +204,8 @@ def test_the_command_writes_a_folder(found, tmp_path, monkeypatch, capsys):
     asked = ["budget", "x.toml", "--samples", str(UNITS), "--seed", "7"]
     assert cli.main([*asked, "--torque", "412 N m", "--torque", "0.412 N m", "--format", "json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert ("error budget", "solving 50 %") in seen and seen[-1][1] == "solving 100 %"
+    counted = [note for name, note in seen if name == "error budget" and note.startswith("solving, ")]
+    assert counted[5] == "solving, 6 of 12 blocks" and counted[-1] == "solving, 12 of 12 blocks"
     folder = tmp_path / told.pop("results")
     assert folder.name == "x-budget" and json.loads((folder / "result.json").read_text()) == told
     assert {file.name for file in folder.iterdir()} == {

@@ -17,6 +17,7 @@ from oracles.responses import Lever
 from rvjax.tolerances import Middle, Nominal, QuadraticLoss, ReciprocalPower, Requirement, Tolerance, Variable, allocate
 from rvjax.tolerances.allocation import programme
 from rvjax.tolerances.allocation.certificate import Certifier
+from rvjax.tolerances.allocation.programme import STATIONARY
 from rvjax.tolerances.allocation.search import Search
 from rvjax.units import um
 
@@ -30,23 +31,20 @@ COST = ReciprocalPower(reference=1.0, finest=0.05, coarsest=5.0)
 def test_optimal_needs_every_part_of_the_promise():
     """All ends: certified or not, limits exact or not, dear, settled, at an optimum by slopes, by values or by neither.
 
-    Values along rays are no proof where there is a loss, or a limit on a statistic. Slopes of few costly units have
-    some residual where the model promises next to nothing.
+    Values along rays are no proof where there is a loss, or a limit on a statistic.
     """
     share, statistic = SimpleNamespace(share=True, nominal=False), SimpleNamespace(share=False, nominal=False)
-    for flags in itertools.product((True, False), repeat=9):
-        certified, exact, dear, settled, near, rays, loss, mean, costly = flags
+    for flags in itertools.product((True, False), repeat=8):
+        certified, exact, dear, settled, near, rays, loss, mean = flags
         search = SimpleNamespace(
             certifier=SimpleNamespace(holds=lambda seen, c=certified: c),
             constraints=SimpleNamespace(missed=lambda look, e=exact: -1.0 if e else 1e-6),
-            problem=SimpleNamespace(losses={"y": 1} if loss else {}, costly=costly), _rays=object() if rays else None,
+            problem=SimpleNamespace(losses={"y": 1} if loss else {}), rays=object() if rays else None,
         )  # fmt: skip
         search.constraints.rows = [share, statistic] if mean else [share]
-        end = SimpleNamespace(
-            look=SimpleNamespace(cost=1.0, priced=0.21 if dear else 0.19), settled=settled,
-            residual=0.09 if near and not costly else 0.11, promised=0.004 if near else 0.006,
-        )  # fmt: skip
-        status, good = Search._status(search, None, end, 1.0), certified and exact
+        look = SimpleNamespace(cost=1.0, priced=0.21 if dear else 0.19)
+        end = SimpleNamespace(look=None, settled=settled, residual=0.5, certain=0.9 * STATIONARY if near else 0.11)
+        status, good = Search._status(search, None, end, 1.0, look), certified and exact
         assert (status == "NOT_CERTIFIED") == (not good)
         assert (status == "SUBOPTIMAL") == (good and dear)
         assert (status == "OPTIMAL") == (good and not dear and settled and (near or (rays and not loss and not mean)))
@@ -139,7 +137,7 @@ def test_an_end_that_ran_out_of_steps(monkeypatch):
 
 def test_an_end_with_a_residual_is_searched_along_rays(monkeypatch):
     """Quick units; of costly ones it is no optimum."""
-    ends(monkeypatch, residual=0.5, of_widths=0.5, promised=0.5)
+    ends(monkeypatch, residual=0.5, of_widths=0.5, certain=0.5)
     found = allocate(linear, PAIR, BOTH, **FEW)
     reached = share(found.half_widths)
     assert found.status == "OPTIMAL" and found.evaluations["sample"] >= 16_384

@@ -10,6 +10,7 @@ from scipy import special
 from rvjax._jax.arguments import checked
 from rvjax._jax.compile_cache import quick
 from rvjax.records import Array, Record, concrete, field, promote, record
+from rvjax.units import with_unit
 
 LEAST = 4  # points: three numbers and one degree of freedom
 _WRONG, _FAR = 3.0, 5.0  # standard deviations: a number of the wrong sign is no scatter; a point of the wrong sign
@@ -89,9 +90,8 @@ def _check(speed: np.ndarray, torque: np.ndarray, found: DragFit) -> None:
     for name, unit in (("coulomb", "N m"), ("viscous", "N m s/rad")):
         value, spread = (float(getattr(found, key)) for key in (name, f"{name}_sd"))
         if value < -_WRONG * spread - 1e-9 * np.abs(torque).max() / (np.abs(speed).max() if unit != "N m" else 1):
-            raise ValueError(
-                f"{name} = {value:g} +- {spread:g} {unit}: must not be negative; the points are no such drag"
-            )
+            shown = f"{value:g} +- {with_unit(spread, unit, 'g')}"
+            raise ValueError(f"{name} = {shown}: must not be negative; the points are no such drag")
     if (more := len(speed) - 5) < 1:
         return
     curved = np.concatenate([plain, way[:, None] * share[:, None] ** [2, 3]], axis=1)

@@ -16,8 +16,8 @@ from rvjax.tolerances.allocation.curve import CostCurve, cost_curve
 from rvjax.tolerances.allocation.nominal import Nominal
 from rvjax.tolerances.allocation.problem import FEWEST as FEWEST, KEPT as KEPT, QUICK as QUICK
 from rvjax.tolerances.allocation.result import Allocation
-from rvjax.tolerances.allocation.search import least_yield as least_yield
 from rvjax.tolerances.allocation.variable import Middle, Variable, check_middles as check_middles
+from rvjax.tolerances.allocation.yields import least_yield as least_yield
 from rvjax.tolerances.batch.memo import Memo as Memo
 from rvjax.tolerances.batch.monte_carlo import monte_carlo
 from rvjax.tolerances.batch.processes import Folder as Folder, Processes as Processes, take as take

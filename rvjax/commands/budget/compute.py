@@ -161,7 +161,7 @@ def error_budget(
 
     blocks = -(-samples // AT_ONCE)
     found = {}
-    with progress_bar(progress, len(loads) * blocks * (2 + len(population.active)), "solving", "batch") as advance:
+    with progress_bar(progress, len(loads) * blocks * (2 + len(population.active)), "solving", "block") as advance:
 
         def solve(torque: float, z: np.ndarray) -> np.ndarray:
             _, curves = curves_of(curve, study.design, given, population, z, torque)

@@ -12,7 +12,8 @@ import numpy as np
 
 from rvjax.population import Population, deviate_of, wilson
 from rvjax.response import PLAIN
-from rvjax.tolerances.allocation.constraints import FAILED, Constraints, Look
+from rvjax.tolerances.allocation.constraints import Constraints
+from rvjax.tolerances.allocation.look import FAILED, Look
 from rvjax.tolerances.allocation.problem import SPARE, Problem
 from rvjax.tolerances.batch.statistics import Statistics, rejects
 from rvjax.tolerances.failure.failure import failure_probability

@@ -6,7 +6,6 @@ of the used ways are nearly linear in the squares of the half-widths, because va
 """
 
 import dataclasses
-import functools
 import math
 from collections.abc import Iterator
 
@@ -17,15 +16,13 @@ from rvjax._jax.blocks import PULLED
 from rvjax.population import first_points
 from rvjax.response import response_names
 from rvjax.tolerances.allocation.decisions import Decisions
+from rvjax.tolerances.allocation.look import FAILED, JOINT, Look, Row
 from rvjax.tolerances.allocation.nominal import NominalOutputs
 from rvjax.tolerances.allocation.problem import Problem
 from rvjax.tolerances.allocation.sample import Units, Values
 from rvjax.tolerances.allocation.tails import Centres, Quantile, TailSample, centres_of, quantile
+from rvjax.tolerances.allocation.whole_sample import mean_loss, statistic, worst_case
 from rvjax.tolerances.requirements.limits import Limits
-from rvjax.tolerances.worst_case import Extremes, extremes
-
-JOINT, FAILED = "joint", "failed"
-"""Names of the constraints on units that meet all limits, and on failed units, which statistics of others exclude."""
 
 FEW = 512
 """Units of the first look, and of a part of the response that does not decide."""
@@ -34,85 +31,9 @@ SPARE = 0.85
 """Used way below which a limit does not decide."""
 
 _QUARTER = 2  # times as many quick units as are behind a slope, at least
-_STATISTIC = 1024  # costly units behind the slope of a statistic
 _HALVINGS = 16  # of a factor of 100: an error of 1e-4
-_STEP = 1e-4  # of differences of a worst case, part of a range
 _INSET = 1e-6  # of the way of a limit without sampling error, above what rounding leaves
 _SMALL = 1e-3  # way of a limit in parts of the spread, where the median lies beyond it
-
-
-@dataclasses.dataclass(frozen=True)
-class Row:
-    """One constraint: a requirement, one side of it, or a share of units of several requirements.
-
-    Attributes:
-        name: of the response, `JOINT` or `FAILED`.
-        item: the limits; None for these two.
-        share: True for a share of units.
-    """
-
-    name: str
-    item: Limits | None
-    share: bool = False
-
-    @property
-    def exact(self) -> bool:
-        """True if no sampling error changes it."""
-        return self.item is not None and self.item.exact
-
-    @property
-    def nominal(self) -> bool:
-        """True if it limits an output without errors."""
-        return self.item is not None and not self.item.of_sample
-
-    @property
-    def power(self) -> float:
-        """Power of the used way that is linear in powers of half-widths."""
-        return 1.0 if self.exact or (self.item is None and not self.share) else 2.0
-
-
-@dataclasses.dataclass(frozen=True)
-class Look:
-    """Cost and used ways at one vector of decisions.
-
-    Attributes:
-        x: (n,) the vector.
-        cost: of half-widths, moved mid-points and numbers.
-        slopes: (n,) its derivatives.
-        priced: priced outputs without errors.
-        priced_slopes: (n,) their derivatives.
-        loss: mean loss.
-        loss_slopes: (n,) its derivatives.
-        used: (c,) used ways, inf where too many units fail.
-        jacobian: (c, n) their derivatives.
-        powers: (c,) of the used ways.
-    """
-
-    x: np.ndarray
-    cost: float
-    slopes: np.ndarray
-    priced: float
-    priced_slopes: np.ndarray
-    loss: float
-    loss_slopes: np.ndarray
-    used: np.ndarray
-    jacobian: np.ndarray
-    powers: np.ndarray
-
-    @property
-    def total(self) -> float:
-        """Cost, priced outputs and mean loss, which a search minimises."""
-        return self.cost + self.priced + self.loss
-
-    @property
-    def pull(self) -> np.ndarray:
-        """Derivatives (n,) of `total`."""
-        return self.slopes + self.priced_slopes + self.loss_slopes
-
-    @property
-    def excess(self) -> float:
-        """Largest excess over a limit, in parts of its way; negative where all are met."""
-        return float((self.used - 1).max(initial=-np.inf))
 
 
 class Constraints:
@@ -130,7 +51,7 @@ class Constraints:
         self.rows += [Row(JOINT, None, True)] if problem.joint_target is not None else []
         wanted = {n for n, i in required.items() if i.of_sample} | set(problem.losses)
         self.units = Units(problem.response, decisions, wanted, problem.memo)
-        self._names = response_names(problem.response, decisions.base)
+        self.names = response_names(problem.response, decisions.base)
         outputs = {n for n, item in required.items() if not item.of_sample} | set(problem.objective)
         self._nominal = NominalOutputs(problem.response, tuple(sorted(outputs)))
         self.ways = np.ones(len(self.rows))
@@ -225,7 +146,7 @@ class Constraints:
     def look(self, x: np.ndarray, *, sloped: bool = True) -> Look:
         """Cost and used ways at a vector; `sloped` False: without derivatives of the units."""
         decisions, n = self.decisions, self.decisions.size
-        used, jacobian = np.zeros(len(self.rows)), np.zeros((len(self.rows), n))
+        used, jacobian, errors = np.zeros(len(self.rows)), *np.zeros((2, len(self.rows), n))
         tails = self._tails(x) if any(row.share for row in self.rows) else {}
         nominal, rates, priced, towards = self.nominal(x)
         for k, row in enumerate(self.rows):
@@ -237,16 +158,18 @@ class Constraints:
                 used[k] = 1 + seen.level / self.ways[k]
                 if sloped and len(seen.units) and math.isfinite(seen.level):
                     pulled = {name: pull[seen.units] * seen.weights for name, pull in outward.items()}
-                    jacobian[k] = self.units.slope(x, self.tails.z[:, seen.units], pulled) / self.ways[k]
+                    each = self.units.slopes(x, self.tails.z[:, seen.units], pulled) / self.ways[k]
+                    jacobian[k] = each.sum(axis=1)
+                    errors[k] = np.sqrt(((each - np.outer(jacobian[k], seen.weights)) ** 2).sum(axis=1))
             elif row.exact:
-                used[k], jacobian[k] = self._worst_case(row, x)
+                used[k], jacobian[k] = worst_case(self, k, x)
             else:
-                used[k], jacobian[k] = self._statistic(k, x, sloped)
+                used[k], jacobian[k] = statistic(self, k, x, sloped=sloped)
             used[k] += 0.0 if row.nominal else self.moved[k]
         cost, slopes, _ = decisions.cost(x)
-        loss, pull = self._loss(x, sloped)
+        loss, pull = mean_loss(self, x, sloped=sloped)
         powers = np.array([row.power for row in self.rows])
-        return Look(x, cost, slopes, priced, towards, loss, pull, used, jacobian, powers)
+        return Look(x, cost, slopes, priced, towards, loss, pull, used, jacobian, errors, powers)
 
     def nominal(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
         """Used ways (c,) of limits without errors, their derivatives (c, n), priced outputs and their derivatives."""
@@ -387,64 +310,6 @@ class Constraints:
             for i, (n, item) in enumerate(items.items())
         }
         return np.where(failed, np.inf, scaled.max(axis=0)), pulls
-
-    def _statistic(self, k: int, x: np.ndarray, sloped: bool) -> tuple[float, np.ndarray]:
-        """Used way and its derivatives (n,) of a statistic of all units; units that fail have no slope."""
-        row, nothing = self.rows[k], np.zeros(self.decisions.size)
-        values = self.units.values(self.decisions.population(x), self.plain)
-        if row.item is None:
-            assert self.most_failed is not None
-            failed = np.any([np.isnan(values[name]) for name in self.problem.requirements if name in values], axis=0)
-            return float(failed.mean()) / self.most_failed, nothing
-        item, own = row.item, values[row.name]
-        valid = own if item.most_failed >= 1 else own[~np.isnan(own)]
-        cushion = self.problem.cushioned(item, valid)
-        margin = item.learned(valid, self.ways[k]) + cushion
-        if not math.isfinite(margin):
-            return math.inf, nothing
-        if not sloped:
-            return 1 + margin / self.ways[k], nothing
-        few = own[:_STATISTIC] if self.problem.costly else own
-        pull = item.pull(few, margin, self.ways[k], len(few))
-        if not len(pull.units):
-            return 1 + margin / self.ways[k], nothing
-        seen = few[pull.units]
-        square = float(((seen - seen.mean()) ** 2).sum())  # the cushion grows as the spread of the units does
-        more = cushion * (seen - seen.mean()) / square if square > 0 else 0.0
-        pulled = {row.name: pull.cotangents / pull.norms.sum() + more}
-        return 1 + margin / self.ways[k], self.units.slope(x, self.plain[:, pull.units], pulled) / self.ways[k]
-
-    def _worst_case(self, row: Row, x: np.ndarray) -> tuple[float, np.ndarray]:
-        """Used way and its derivatives (n,) of a worst case; those to mid-points and numbers by differences."""
-        decisions, item, way = self.decisions, row.item, float(self.ways[self.rows.index(row)])
-        assert item is not None
-        both = functools.partial(extremes, self.problem.response, names=self._names, name=row.name)
-        ends: Extremes = both(decisions.population(x))
-        found, count = np.zeros(len(x)), len(decisions.fields)
-        margin = float(item.learned(ends.values, way))
-        pull, active = item.pull(ends.values, margin, way, len(ends.values)), list(decisions.base.active)
-        by_width = pull.cotangents @ ends.slopes[pull.units]
-        found[:count] = by_width[[active.index(name) for name in decisions.fields]]
-        for j in range(count, len(x)):
-            there = x.copy()
-            there[j] += _STEP if x[j] + _STEP <= decisions.high[j] else -_STEP
-            found[j] = (item.learned(both(decisions.population(there)).values, way) - margin) / (there[j] - x[j])
-        return 1 + margin / way, found / way
-
-    def _loss(self, x: np.ndarray, sloped: bool) -> tuple[float, np.ndarray]:
-        """Mean loss of the units that do not fail, inf where all do, and its derivatives (n,)."""
-        total, towards = 0.0, np.zeros(self.decisions.size)
-        values = self.units.values(self.decisions.population(x), self.plain) if self.problem.losses else {}
-        for name, loss in self.problem.losses.items():
-            units = np.flatnonzero(np.isfinite(values[name]))
-            if not len(units):
-                return math.inf, towards
-            total += float(np.mean(loss(values[name][units])))
-            units = units[:_STATISTIC] if self.problem.costly else units
-            if sloped:
-                pull = {name: np.asarray(loss.slope(values[name][units])) / len(units)}
-                towards += self.units.slope(x, self.plain[:, units], pull)
-        return total, towards
 
 
 def _sides(item: Limits) -> list[Limits]:

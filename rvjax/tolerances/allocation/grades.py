@@ -13,9 +13,9 @@ import numpy as np
 import scipy
 
 from rvjax.population import GRADES, it_width
-from rvjax.tolerances.allocation.constraints import Look
 from rvjax.tolerances.allocation.cost import Cost
-from rvjax.tolerances.allocation.programme import AGAIN, COARSE, MET, End
+from rvjax.tolerances.allocation.look import Look
+from rvjax.tolerances.allocation.programme import AGAIN, COARSE, MET, End, expansion
 from rvjax.tolerances.allocation.result import Allocation
 from rvjax.tolerances.batch.statistics import Statistics
 
@@ -41,8 +41,8 @@ class Grades:
         self.ladders = {j: ladder for j, ladder in self.ladders.items() if ladder}
         self._known: dict[tuple[int, ...], Look] = {}
 
-    def rounded(self, end: End, found: Allocation) -> Allocation:
-        """The cheapest certified set of grades near the end of a search.
+    def rounded(self, end: End, found: Allocation) -> tuple[Allocation, Look]:
+        """The cheapest certified set of grades near the end of a search, and its look.
 
         Args:
             end: the end.
@@ -78,7 +78,7 @@ class Grades:
             result, grades=names, residual=found.residual, multipliers=found.multipliers, margins=found.margins,
             margin_slopes=found.margin_slopes, value_prices=found.value_prices,
             evaluations=search.evaluations(constraints.count),
-        )  # fmt: skip
+        ), look  # fmt: skip
 
     def _cheapest(self, near: Look) -> tuple[Places | None, Look]:
         """The cheapest set that meets the limits of the sample, and its look; None where none does."""
@@ -137,14 +137,12 @@ class Grades:
         costs = self._costs(near, fields, logs)
         rows = np.flatnonzero(np.isfinite(near.used) & ~np.isneginf(near.used))
         rows = rows[near.jacobian[rows, :count].any(axis=1)]
-        p = near.powers[rows, None]
-        base = np.maximum(near.used[rows], 0.05)
-        rate = (p * base[:, None] ** (p - 1))[:, :] * near.jacobian[rows, :count] / p
-        model = rate[:, fields] * np.expm1(p * (logs - near.x[fields]))
+        p, (start, rate) = near.powers[rows, None], expansion(near)
+        model = rate[rows][:, fields] / p * np.expm1(p * (logs - near.x[fields]))
         one = (fields[None, :] == np.arange(count)[:, None]).astype(float)
         limits = [
             scipy.optimize.LinearConstraint(one, 1, 1),
-            scipy.optimize.LinearConstraint(model, -np.inf, 1 - base ** near.powers[rows] + MET / 4),
+            scipy.optimize.LinearConstraint(model, -np.inf, 1 - start[rows] + MET / 4),
         ]
         if math.isfinite(most):
             spare = most - (near.total - float(self._costs(near, np.arange(count), near.x[:count]).sum()))

@@ -149,8 +149,12 @@ def problem_of(
     )  # fmt: skip
     return Problem(
         response, population, required, priced, middles or {}, variables or {}, objective or {}, lost, joint_target,
-        samples, seed, max_steps, run, memo, int,
+        samples, seed, max_steps, run, memo, _silent,
     )  # fmt: skip
+
+
+def _silent(count: int) -> None:
+    """Show no progress."""
 
 
 def check_counts(**counts: int) -> None:

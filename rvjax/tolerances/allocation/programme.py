@@ -13,8 +13,10 @@ from collections.abc import Callable
 import numpy as np
 import scipy
 
-from rvjax.tolerances.allocation.constraints import Constraints, Look
+from rvjax.tolerances.allocation.constraints import Constraints
 from rvjax.tolerances.allocation.interior import Model, minimum
+from rvjax.tolerances.allocation.look import Look
+from rvjax.tolerances.allocation.planes import Planes
 
 GAIN = 1e-5, 5e-4
 """Promised gain, as a part of the cost, below which a search on quick and on costly units ends."""
@@ -56,7 +58,7 @@ class End:
         at_high: (n,) rate at which it falls with each upper bound, not negative.
         residual: largest saving of an entry that no price accounts for, as a part of all savings.
         of_widths: the same of half-widths alone.
-        promised: gain that the model promises nearby, as a part of the cost.
+        certain: the same of all entries, less two standard errors of their slopes.
         settled: False where the number of looks ended the search.
     """
 
@@ -66,7 +68,7 @@ class End:
     at_high: np.ndarray
     residual: float
     of_widths: float
-    promised: float
+    certain: float
     settled: bool
 
 
@@ -160,10 +162,9 @@ class Programme:
         at_low[low], at_high[high] = found[: low.sum()], found[low.sum() :]
         savings = float(np.abs(here.slopes).sum() + np.abs(here.priced_slopes + here.loss_slopes).sum())
         savings = max(savings, MET * abs(here.total), 1e-300)
-        elastic = np.full(len(here.used), _PRICE * self._size(here)) if self.weights is None else self.weights
-        promised = (self._merit(here, elastic) - self._plan(here, AGAIN, elastic).merit) / self._size(here)
-        residual, of_widths = (float(np.abs(own).max(initial=0.0)) / savings for own in (left, left[: self._first]))
-        return End(here, prices, at_low, at_high, residual, of_widths, promised, settled)
+        sure = np.maximum(np.abs(left) - 2 * np.sqrt(prices**2 @ here.errors**2), 0.0)
+        parts = (float(np.abs(own).max(initial=0.0)) / savings for own in (left, left[: self._first], sure))
+        return End(here, prices, at_low, at_high, *parts, settled)
 
     def prices(self, here: Look, radius: float) -> np.ndarray:
         """Prices (c,) of used ways in the model around a look.
@@ -180,7 +181,7 @@ class Programme:
 
     def _plan(self, here: Look, radius: float, elastic: np.ndarray) -> _Plan:
         """Cheapest end of a step within a box under the model."""
-        planes = _Planes(self.constraints, here)
+        planes = Planes(self.constraints, here)
         for _ in range(_ROUNDS):
             x, prices = self._solved(here, radius, elastic, planes)
             if planes.seen(x) <= _EXACT:
@@ -190,9 +191,7 @@ class Programme:
         total = self._total(here, x)[0] + planes.priced[-1]
         return _Plan(x, (total if self.weights is None else 0.0) + float(elastic @ excess), prices)
 
-    def _solved(
-        self, here: Look, radius: float, elastic: np.ndarray, planes: "_Planes"
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _solved(self, here: Look, radius: float, elastic: np.ndarray, planes: Planes) -> tuple[np.ndarray, np.ndarray]:
         """Minimum of the model, and the prices (c,) of its rows."""
         n, c, size = len(here.x), len(here.used), self._size(here)
         units = np.flatnonzero(~planes.nominal & np.isfinite(here.used))
@@ -236,11 +235,9 @@ class Programme:
     def _powers(self, here: Look, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Powers (c,) of the used ways under the model, their derivatives (c, n), and second ones to half-widths."""
         first, p = self._first, here.powers[:, None]
-        base = np.where(np.isfinite(here.used), here.used, 1.0)
-        rate = np.where(here.powers == 1, 1.0, here.powers * np.maximum(base, _FLAT))[:, None] * here.jacobian
+        start, rate = expansion(here)
         moved = x - here.x
         grown = np.exp(p * moved[:first])
-        start = np.where(here.powers == 1, base, np.sign(base) * np.abs(base) ** here.powers)
         value = start + (rate[:, :first] / p * (grown - 1)).sum(axis=1) + rate[:, first:] @ moved[first:]
         slopes, bent = rate[:, :first] * grown, self._bent(moved)[:-1]
         value += bent @ moved / 2
@@ -300,71 +297,16 @@ class Programme:
         return (look.total if self.weights is None else 0.0) + float(elastic @ _excess(look))
 
 
-class _Planes:
-    """Limits on outputs without errors, and the priced ones, as the largest of their linear functions seen so far."""
+def expansion(look: Look) -> tuple[np.ndarray, np.ndarray]:
+    """Powers (c,) of the used ways of a look, and their derivatives (c, n); of squares that are flat not less than so.
 
-    def __init__(self, constraints: Constraints, here: Look) -> None:
-        self._constraints, self._here = constraints, here
-        self.nominal = np.array([row.nominal for row in constraints.rows], bool)
-        self._rows = np.flatnonzero(self.nominal)
-        self._places: list[np.ndarray] = []
-        self.used: list[np.ndarray] = []
-        self.priced: list[float] = []
-        self._slopes: list[tuple[np.ndarray, np.ndarray]] = []
-        self._any = bool(self.nominal.any() or here.priced or here.priced_slopes.any())
-        self._add(here.x, here.used, here.jacobian, here.priced, here.priced_slopes)
-
-    def _add(self, x: np.ndarray, used: np.ndarray, rates: np.ndarray, priced: float, towards: np.ndarray) -> None:
-        self._places.append(x)
-        self.used.append(used)
-        self.priced.append(priced)
-        self._slopes.append((rates, towards))
-        c = len(self.nominal)
-        self._flat = [
-            (k, i)
-            for i, place in enumerate(self._places)
-            for k in [*self._rows, c]
-            if i == len(self._places) - 1
-            or all(self._value(k, i, at) <= self._seen(k, j) for j, at in enumerate(self._places))
-        ]
-        self.owner = [k for k, _ in self._flat]
-
-    def _seen(self, k: int, j: int) -> float:
-        value = self.priced[j] if k == len(self.nominal) else float(self.used[j][k])
-        return value + 1e-7 * (abs(value) + 1e-3)
-
-    def _value(self, k: int, i: int, x: np.ndarray) -> float:
-        rates, towards = self._slopes[i]
-        priced = k == len(self.nominal)
-        value, slope = (self.priced[i], towards) if priced else (float(self.used[i][k]), rates[k])
-        return value + float(slope @ (x - self._places[i]))
-
-    def seen(self, x: np.ndarray) -> float:
-        """Look at these outputs at the end of a step; the largest error of the planes there, in parts of a way."""
-        if not self._any:
-            self.used.append(self.used[-1])
-            self.priced.append(self.priced[-1])
-            return 0.0
-        used, rates, priced, towards = self._constraints.nominal(x)
-        c = len(self.nominal)
-        told = {k: max(self._value(k, i, x) for j, i in self._flat if j == k) for k in self.owner}
-        error = max((abs(told[k] - used[k]) for k in self._rows), default=0.0)
-        error = max(error, abs(told[c] - priced) / max(abs(priced), 1e-300))
-        self._add(x, used, rates, priced, towards)
-        return error
-
-    def rows(self, v: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
-        """Rows (m,) of vector, excesses and priced outputs that may not be negative, and their derivatives."""
-        c = len(self.nominal)
-        n = len(v) - c - 1
-        values, slopes = np.zeros(len(self._flat)), np.zeros((len(self._flat), len(v)))
-        for row, (k, i) in enumerate(self._flat):
-            rates, towards = self._slopes[i]
-            slopes[row, :n] = -towards / size if k == c else -rates[k]
-            slopes[row, n + k] = 1.0
-            value = self._value(k, i, v[:n])
-            values[row] = v[n + k] - (value / size if k == c else value - 1)
-        return values, slopes
+    Args:
+        look: where units do not fail.
+    """
+    slope = np.where(
+        look.powers == 1, 1.0, look.powers * np.maximum(np.where(np.isfinite(look.used), look.used, 1.0), _FLAT)
+    )
+    return _power(look), slope[:, None] * look.jacobian
 
 
 def _power(look: Look) -> np.ndarray:

@@ -10,7 +10,8 @@ import dataclasses
 
 import numpy as np
 
-from rvjax.tolerances.allocation.constraints import FAILED, Constraints, Look
+from rvjax.tolerances.allocation.constraints import Constraints
+from rvjax.tolerances.allocation.look import FAILED, Look
 
 _INWARD, _OUTWARD = 5.0, 0.7  # reach of a ray, logarithm of the factor
 _IDLE = 0.5  # with a larger factor than this, its logarithm, a limit does not bind

@@ -1,0 +1,57 @@
+"""Cost of other yields: the search again at other targets, from one to the next."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rvjax.tolerances.allocation.programme import MET, End
+from rvjax.tolerances.batch.statistics import Statistics
+
+if TYPE_CHECKING:
+    from rvjax.tolerances.allocation.search import Search
+
+_FEW = 2048  # costly units of a sample, at most
+_FRESH = 65_536, 4096  # quick and costly units behind a yield, at most
+_LOOKS, _GAIN = 12, 5e-3  # of one search, at most; the gain that ends it: a plot shows no less
+
+
+def costs_of_yields(search: "Search", end: End, yields: Sequence[float]) -> list[tuple[float, float]]:
+    """(least yield of a requirement, cost) of other targets, ascending; yields are those of independent units.
+
+    Args:
+        search: of the problem; its sample and wanted rejects are others afterwards.
+        end: from which searches go away.
+        yields: targets of all shares.
+    """
+    problem, constraints, certifier = search.problem, search.constraints, search.certifier
+    if not yields or not any(row.share for row in constraints.rows):
+        return []
+    goal = min((item.target for item in problem.requirements.values() if item.of_shares), default=1.0)  # type: ignore[attr-defined]
+    points = list[tuple[float, float]]()
+    if problem.costly:
+        constraints.sample(min(constraints.count, _FEW))
+    for side in (sorted((y for y in yields if y < goal), reverse=True), sorted(y for y in yields if y >= goal)):
+        x = end.look.x
+        for target in side:
+            moved = [
+                1 - target if row.share and row.item else old for row, old in zip(constraints.rows, constraints.rejects)
+            ]
+            constraints.rejects = np.array(moved)
+            there = search.programme.run(x, most=_LOOKS, gain=_GAIN)
+            if there.look.excess > 2 * MET:
+                continue
+            x = there.look.x
+            samples = min(certifier.run.samples, _FRESH[problem.costly])
+            fresh = dataclasses.replace(
+                certifier.run, population=search.decisions.population(x), samples=samples, keep=False
+            )
+            certifier.solved += samples
+            points.append((least_yield(fresh.statistics()), there.look.total))
+    return sorted(points)
+
+
+def least_yield(statistics: Statistics) -> float:
+    """The least share of units that keeps one requirement."""
+    return min(verdict.estimate.value for verdict in statistics.verdicts.values() if verdict.kind == "share")
