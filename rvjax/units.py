@@ -113,6 +113,9 @@ def recognised(name: str, known: Collection[str]) -> str | None:
         known: units that the quantity may have.
     """
     plain, bare = spelling(name), _BETWEEN.sub("", spelling(name))
+    words = [word for word in _BETWEEN.split(plain) if word]
+    if len(set(words)) < len(words):  # "N m m" is a product of lengths, not "N mm"
+        return None
     for unit in known:
         if unit == plain or bare == _BETWEEN.sub("", unit):  # "mNm" and "MNm" differ
             return unit

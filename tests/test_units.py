@@ -136,6 +136,7 @@ def test_readable_units():
         ("rpm", "rad/s", ["RPM", "min-1", "min^-1", "r.p.m.", "rev/min", "U/min"]),
         ("1/min", "rad/s", ["1/min"]),
         (None, "rad", ["grad", "sec", "min", "s", "um", "count", "%", ""]),  # the German degree is no gon
+        (None, "N m", ["N m m", "m·N·m", "N·m/m"]),  # products with a length more
         (None, "N m", ["MNm", "mnm", "kg cm2", "N/m"]),  # meganewton or millinewton: capitals decide
     ],
 )
