@@ -5,6 +5,7 @@ function. An index must lie within 4 of its own standard errors (15 degrees of f
 small; a field that does not enter has indices of exactly 0.
 """
 
+import dataclasses
 import math
 
 import jax.numpy as jnp
@@ -53,6 +54,16 @@ def test_ishigami(of_ishigami):
 def test_a_field_that_does_not_enter_has_exactly_no_share(of_ishigami):
     for share in (of_ishigami.first["x4"], of_ishigami.total["x4"]):
         assert (share.value, share.error, share.lower, share.upper) == (0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("size", [2.0**-990, 2.0**1010])
+def test_the_size_of_a_response_does_not_matter(size):
+    """The square of 1e160 is no number, and that of 1e-300 is zero."""
+    plain, sized = (sobol_indices(lambda e, s=s: s * ishigami(e), ISHIGAMI, samples=64, seed=0) for s in (1.0, size))
+    for one, other in ((sized.first, plain.first), (sized.total, plain.total)):
+        for name in ISHIGAMI:
+            assert dataclasses.astuple(one[name]) == pytest.approx(dataclasses.astuple(other[name]), rel=1e-9)
+    assert sized.trusted is plain.trusted
 
 
 def test_chunks_do_not_matter(of_ishigami):

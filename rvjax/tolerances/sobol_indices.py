@@ -160,23 +160,25 @@ class _Sums:
 
     def __init__(self, fields: int) -> None:
         self.origin: float | None = None  # values are taken relative to the first one, which keeps their digits
+        self.scale = 1.0  # times a power of two, which keeps them too: the square of 1e160 is no number
         self.own = np.zeros((5, SCRAMBLES))  # rows, a, b, a^2, b^2
         self.crossed = np.zeros((3, fields, SCRAMBLES))  # b (ab - a), ab - a, (ab - a)^2
         self.ends = np.zeros(2)  # least and largest of a and b
 
     def add(self, rows: list[np.ndarray], scramble: np.ndarray) -> None:
         """Take in A, B and every AB_i of the next chunk, and the scramble of each row."""
-        a, b, *mixed = rows
+        a, b, *_ = rows
         if not a.size:
             return
         if self.origin is None:
-            self.origin = float(a[0])
-        a, b = a - self.origin, b - self.origin
+            self.scale = 2.0 ** -max(math.frexp(max(np.abs(a).max(), np.abs(b).max()))[1], -1000)
+            self.origin = float(a[0]) * self.scale
+        a, b, *mixed = (self.scale * row - self.origin for row in rows)
         self.ends = np.array([min(self.ends[0], a.min(), b.min()), max(self.ends[1], a.max(), b.max())])
         summed: Callable[[np.ndarray], np.ndarray] = lambda values: np.bincount(scramble, values, SCRAMBLES)  # noqa: E731
         self.own += [summed(v) for v in (np.ones(len(a)), a, b, a * a, b * b)]
         for i, row in enumerate(mixed):
-            step = row - self.origin - a
+            step = row - a
             self.crossed[:, i] += [summed(b * step), summed(step), summed(step * step)]
 
     def shares(self, fields: tuple[str, ...]) -> tuple[dict[str, Estimate], dict[str, Estimate]]:
