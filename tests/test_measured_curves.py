@@ -147,7 +147,7 @@ def test_a_bad_reading_is_named_and_left_out(rows):
 
 
 @pytest.mark.parametrize("points", [12, 13, 16, 24, 36, 48])
-@pytest.mark.parametrize("wrong", [{0: -36.2}, {7: -3.6}, {-1: 5.0}, {2: -36.2, 8: 20.0}])
+@pytest.mark.parametrize("wrong", [{0: -36.2}, {7: -3.6}, {-1: 5.0}, {2: -36.2, 8: 20.0}, {7: -3.6, 8: -3.5}])
 def test_wrong_readings_among_few_are_named_and_left_out(points, wrong):
     """A round of 0.3 deg with noise of 0.002 deg, on drives whose lowest orders are 39 and 16."""
     angle, rng = equal(points), np.random.default_rng(points)

@@ -189,7 +189,8 @@ def _two(model: Model) -> list[Atom]:
     more = Model(model.angle, model.value, [*model.atoms, first])
     second = _glitch(more, more.residual)
     gain = model.score - more.more(second)
-    return [first, second] if first not in model.atoms and first != second and gain > 2 * LEAST["glitch"] else []
+    least = LEAST["glitch"] + 2 * NUMBER
+    return [first, second] if first not in model.atoms and first != second and gain > least else []
 
 
 def _thinned(model: Model, keep: Sequence[float]) -> Model:
