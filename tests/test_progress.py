@@ -45,6 +45,11 @@ def test_only_counted_units_tell_what_is_left():
     run.detail("drawing, 300 of 1,000 units", 0.3)
     assert run.left() == pytest.approx(7)
     assert run.line() == "phase 2 of 3, about 7 s left, 42 s in: drawing, drawing, 300 of 1,000 units"
+    clock.now = 76
+    run.detail("drawing, 300 of 1,000 units", 0.3)
+    assert run.left() == pytest.approx(3)  # the next units are under way: less is left, not more
+    clock.now = 80
+    assert run.left() is None  # slower than before
     run.begin("writing")
     assert run.left() is None
 

@@ -53,6 +53,7 @@ class Phases:
         self.coming = 0  # programs that are planned, and not begun
         self.name, self.since, self.said, self.note, self.part = "", self.clock(), 0.0, "", 0.0
         self.moving: tuple[float, float] | None = None  # time and part when the first units were done
+        self.counted_at = 0.0  # time when the last ones were
         self._lock, self._over = threading.Lock(), threading.Event()
         self._watch = threading.Thread(target=self._tick, daemon=True)
 
@@ -68,16 +69,20 @@ class Phases:
 
     def detail(self, note: str, part: float = 0.0) -> None:
         """Note the current work, such as "certifying 40 %", for the next update; `part` of the phase is done."""
+        if part != self.part:
+            self.counted_at = self.clock()
         self.note, self.part = note, part
         if part > 0 and self.moving is None:
-            self.moving = self.clock(), part
+            self.moving = self.counted_at, part
 
     def left(self) -> float | None:
-        """Seconds until the end at the pace of the units since the first; None where it is not known."""
+        """Seconds until the end at the pace of the units since the first; None where it is not known, or over."""
         if self.name != self.counted or self.moving is None or not self.part > self.moving[1]:
             return None
-        (begun, part), now = self.moving, self.clock()
-        return (now - begun) * (1 - self.part) / (self.part - part)
+        begun, part = self.moving
+        rest = (self.counted_at - begun) * (1 - self.part) / (self.part - part)  # when the last units were done
+        left = rest - (self.clock() - self.counted_at)
+        return left if left > 0 else None
 
     def line(self) -> str:
         """Current text of the line."""
