@@ -51,6 +51,13 @@ def test_an_order_of_the_reducer_that_looks_like_another_is_not_stored(points, o
     assert any(f"{points} points: order {order} (" in line and line.endswith(f"looks like {looks}") for line in text)
 
 
+def test_two_points_in_a_period_show_one_phase_only():
+    """cos(180 t) of 360 points is +1, -1, +1 ..., and sin(180 t) is zero at each."""
+    judged = judge(run(equal(360), curve(equal(360) * deg, {40: 3.0}) + noise(360)), PARTS | {"holes": 180.0})
+    text = [finding.text for finding in findings(judged) if finding.name == "orders alike"]
+    assert "360 points: order 180 (holes) shows one phase only" in text
+
+
 def test_orders_that_are_resolved_are_stored_at_any_density():
     rng = np.random.default_rng(1)
     for angle in (equal(180), equal(240), np.sort(rng.uniform(0, 360, 72)), equal(720), equal(180, 2)):

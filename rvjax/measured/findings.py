@@ -143,6 +143,7 @@ def _alike(judged: Judged) -> Iterator[Finding]:
     whole = [0.0, *(order for order in judged.parts.values() if order == round(order))]
     for order, name in seen.items():
         low = judged.looks_like(order)
-        text = f"{sampling.points} points: order {order:.5g} ({name}) looks like {low:.4g}"
+        seen_as = f"looks like {low:.4g}" if low != order else "shows one phase only"  # two points in a period
+        text = f"{sampling.points} points: order {order:.5g} ({name}) {seen_as}"
         near = order in whole or min(abs(low - own) for own in whole) < LOW + 1
         yield Finding("orders alike", low, "-", text, near)
