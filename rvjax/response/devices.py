@@ -62,16 +62,17 @@ class Evaluator:
 
     def start(self, first: int) -> tuple[Values, jax.Array]:
         """Values and status of the chunk that begins with unit `first`, still being computed."""
-        z = self._z(first)
+        z = self.z(first)
         if self._mesh is None:
             return respond(self._response, self._population, z)
         return _respond_on(self._response, self._population, z, mesh=self._mesh)
 
     def errors(self, first: int) -> dict[str, np.ndarray]:
         """Sampled errors of the chunk that begins with unit `first`, by field (*shape, n)."""
-        return {field: np.asarray(drawn) for field, drawn in _deviations(self._population, self._z(first)).items()}
+        return {field: np.asarray(drawn) for field, drawn in _deviations(self._population, self.z(first)).items()}
 
-    def _z(self, first: int) -> jax.Array:
+    def z(self, first: int) -> jax.Array:
+        """Random numbers (numbers, n) of the chunk that begins with unit `first`."""
         if self._points is not None:
             points: Any = np.asarray(self._points.z(first, self._count), jnp.result_type(float))
             return on(self._mesh, points)

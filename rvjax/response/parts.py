@@ -25,9 +25,9 @@ class Part:
         self.solved = 0
         """Units solved so far."""
 
-    def solve(self, population: Population, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Values (k, n) by `names`, and status (n,), of the units with random numbers z (numbers, n)."""
-        return self._of(population, z.shape[1], _drawn(population, z))[:2]
+    def solve(self, population: Population, z: np.ndarray) -> Solution:
+        """Values (k, n) by `names`, status (n,) and state of the units with random numbers z (numbers, n)."""
+        return self._of(population, z.shape[1], _drawn(population, z))
 
     def solution(self, population: Population, z: np.ndarray) -> Solution:
         """Values (k, n), status (n,) and state (numbers, n): what `slopes` of these units need.
@@ -111,9 +111,9 @@ class InParts(Evaluator):
 
     def start(self, first: int) -> tuple[Values, jax.Array]:
         """Values and status of the chunk that begins with unit `first`."""
-        z, values, status = np.asarray(self._z(first)), dict[str, Any](), []
+        z, values, status = np.asarray(self.z(first)), dict[str, Any](), []
         for part in self._parts:
-            rows, own = part.solve(self._population, z)
+            rows, own, _ = part.solve(self._population, z)
             values |= dict(zip(part.names, rows))
             status.append(own)
         flags: Any = worst(np.stack(status), axis=0)  # on the host

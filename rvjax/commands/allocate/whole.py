@@ -179,7 +179,7 @@ def whole(study: Study, tolerances: Any) -> Whole | None:
     status = np.zeros(UNITS, np.int32)
     for part in parts(response, population):
         costly = is_costly(part.response)
-        rows, own = part.solve(population, z[:, :UNITS] if costly else z)
+        rows, own, _ = part.solve(population, z[:, :UNITS] if costly else z)
         values |= dict(zip(part.names, rows[:, :UNITS]))
         known |= {} if costly else dict(zip(part.names, rows))
         status = np.where(succeeded(np.asarray(status)), own[:UNITS], status)

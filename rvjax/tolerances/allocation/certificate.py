@@ -12,8 +12,10 @@ import numpy as np
 
 from rvjax.population import Population, deviate_of, wilson
 from rvjax.response import PLAIN
+from rvjax.status import Status
 from rvjax.tolerances.allocation.constraints import Constraints
 from rvjax.tolerances.allocation.look import FAILED, Look
+from rvjax.tolerances.allocation.near import NearUnits
 from rvjax.tolerances.allocation.problem import SPARE, Problem
 from rvjax.tolerances.batch.statistics import Statistics, rejects
 from rvjax.tolerances.failure.failure import failure_probability
@@ -24,6 +26,7 @@ _EXPECTED = 200  # rejects in a certificate of quick units, below which a probab
 _TRUSTED = {"OK", "SEVERAL_POINTS", "KINKED_POINT", "RARE_NOMINAL"}  # all but OK concern the reliability index alone
 _CLOSE = 0.9  # part of the rejects of a target that a probability of failure may show at first
 _MOST = 4.0  # factor on the wanted rejects by one certificate
+_ROUGH = 16  # rejects from which on a quantile says more than their count, which moves in steps
 _NEAR = 0.95  # used way below which a limit that holds does not decide
 
 
@@ -34,6 +37,39 @@ class Certifier:
         self._problem, self.run, self.drawn = problem, problem.run, 0
         self.solved = 0
         """Units solved so far."""
+        self._near: NearUnits | None = None
+        self._whole: Statistics | None = None
+
+    def test(self, constraints: Constraints, x: np.ndarray) -> Statistics:
+        """Statistics of a certificate at a vector, whose verdicts count; `whole` has all its figures.
+
+        Args:
+            constraints: of the search.
+            x: the vector.
+        """
+        population = constraints.decisions.population(x)
+        if self._near is None:
+            found = self.draw(population)
+            rare = any(self.rare(item) for item in self.run.requirements.values())
+            if constraints.by_quantiles and found.values and not rare:
+                self._near, self._whole = NearUnits(constraints.units, self.run.z(), dict(found.values)), found
+            return found
+        before = constraints.units.solved
+        values = self._near.values(population, constraints.limits())
+        self.solved += constraints.units.solved - before
+        constraints.units.solved = before
+        failed = np.any([np.isnan(row) for row in values.values()], axis=0)
+        status = np.where(failed, int(Status.NONFINITE), int(Status.CONVERGED))
+        return dataclasses.replace(self.run, population=population).of_units(values, status)
+
+    def whole(self, seen: Statistics, population: Population) -> Statistics:
+        """Statistics of all units of a certificate that held.
+
+        Args:
+            seen: by `test`.
+            population: tested.
+        """
+        return seen if self._near is None or seen is self._whole else self.draw(population)
 
     def draw(self, population: Population) -> Statistics:
         """Statistics of independent units; a target beyond their resolution uses a probability of failure."""
@@ -124,7 +160,9 @@ class Certifier:
             reached: wanted rejects (c,) with which the sample would just meet each limit there.
         """
         rejects, moved, n = constraints.rejects.copy(), constraints.moved.copy(), self.run.samples
-        deviate = deviate_of(self.run.confidence)
+        deviate, smooth = deviate_of(self.run.confidence), None
+        if constraints.by_quantiles and seen.values:
+            smooth = constraints.shares(dict(seen.values), np.ones(n), np.isfinite(look.used))
         for k, row in enumerate(constraints.rows):
             if row.exact:
                 continue
@@ -146,6 +184,8 @@ class Certifier:
             if row.item is not None and self.rare(row.item):
                 shown = max(1 - figure.value, 1e-3 * constraints.target(k))
                 wanted = constraints.target(k) / (1 + (deviate + SPARE) * figure.error / shown)
+            elif smooth is not None and wanted * n > _ROUGH and (shown > wanted) == (smooth[k] > wanted):
+                shown = smooth[k]
             ratio = reached[k] / rejects[k] * wanted / shown
             rejects[k] = min(rejects[k] * float(np.clip(ratio, 1 / _MOST, _MOST)), 0.5)
         return rejects, moved

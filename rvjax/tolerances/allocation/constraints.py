@@ -6,6 +6,7 @@ of the used ways are nearly linear in the squares of the half-widths, because va
 """
 
 import dataclasses
+import functools
 import math
 from collections.abc import Iterator
 
@@ -17,6 +18,7 @@ from rvjax.population import first_points
 from rvjax.response import response_names
 from rvjax.tolerances.allocation.decisions import Decisions
 from rvjax.tolerances.allocation.look import FAILED, JOINT, Look, Row
+from rvjax.tolerances.allocation.near import Limited, NearUnits
 from rvjax.tolerances.allocation.nominal import NominalOutputs
 from rvjax.tolerances.allocation.problem import Problem
 from rvjax.tolerances.allocation.sample import Units, Values
@@ -60,6 +62,7 @@ class Constraints:
         self.rejects = np.array([self.target(k) for k in range(len(self.rows))])
         """Share of units (c,) that may lie beyond each limit on the sample; 0 where no share is limited."""
         self.aside: frozenset[str] = frozenset()
+        self._near: NearUnits | None = None
         self.sample(FEW if problem.costly else problem.sample)
 
     def target(self, k: int) -> float:
@@ -77,7 +80,7 @@ class Constraints:
         numbers = self.decisions.base.numbers
         plain = first_points(numbers, self.problem.seed, count) if self.units.parts else np.zeros((numbers, 0))
         self.plain, self.tails = plain, TailSample(plain, self.problem.seed)
-        self.count = count
+        self.count, self._near = count, None
 
     def begin(self, x: np.ndarray) -> None:
         """Measure the way of each limit: of the median to it, without priced errors or at the start."""
@@ -136,10 +139,35 @@ class Constraints:
             return
         near = {row.name for k, row in enumerate(self.rows) if row.item is not None and look.used[k] > SPARE}
         shares = {row.name for row in self.rows if row.share}
-        self.aside = frozenset(shares - near - set(self.problem.losses))
+        self.aside, self._near = frozenset(shares - near - set(self.problem.losses)), None
+
+    @property
+    def by_quantiles(self) -> bool:
+        """True if costly units matter for quantiles alone, so that those near them are enough."""
+        alone = all(row.share or row.nominal or row.exact for row in self.rows)
+        return self.problem.costly and alone and not self.problem.losses
+
+    def limits(self) -> list[Limited]:
+        """Limits on shares, which decide what units are near."""
+        together = tuple(n for n, i in self.problem.requirements.items() if i.of_units)
+        return [
+            Limited((r.name,) if r.item else together, functools.partial(self._in_ways, k), float(self.rejects[k]))
+            for k, r in enumerate(self.rows)
+            if r.share
+        ]
+
+    def _in_ways(self, k: int, values: Values) -> np.ndarray:
+        """Margins (n,) of the units of a row on a share, in ways of the limit."""
+        return self._margins(k, values)[0] / self.ways[k]
 
     def _tails(self, x: np.ndarray) -> Values:
-        return self.units.values(self.decisions.population(x), self.tails.z, self.aside, FEW)
+        population = self.decisions.population(x)
+        if self._near is not None:
+            return self._near.values(population, self.limits())
+        found = self.units.values(population, self.tails.z, self.aside, FEW)
+        if self.by_quantiles:
+            self._near = NearUnits(self.units, self.tails.z, found)
+        return found
 
     # Used ways.
 
@@ -149,6 +177,7 @@ class Constraints:
         used, jacobian, errors = np.zeros(len(self.rows)), *np.zeros((2, len(self.rows), n))
         tails = self._tails(x) if any(row.share for row in self.rows) else {}
         nominal, rates, priced, towards = self.nominal(x)
+        pulls: list[tuple[int, Quantile, Values]] = []
         for k, row in enumerate(self.rows):
             if row.nominal:
                 used[k], jacobian[k] = nominal[k], rates[k]
@@ -157,19 +186,33 @@ class Constraints:
                 seen = self._quantile(k, margins)
                 used[k] = 1 + seen.level / self.ways[k]
                 if sloped and len(seen.units) and math.isfinite(seen.level):
-                    pulled = {name: pull[seen.units] * seen.weights for name, pull in outward.items()}
-                    each = self.units.slopes(x, self.tails.z[:, seen.units], pulled) / self.ways[k]
-                    jacobian[k] = each.sum(axis=1)
-                    errors[k] = np.sqrt(((each - np.outer(jacobian[k], seen.weights)) ** 2).sum(axis=1))
+                    pulls.append((k, seen, {name: pull[seen.units] * seen.weights for name, pull in outward.items()}))
             elif row.exact:
                 used[k], jacobian[k] = worst_case(self, k, x)
             else:
                 used[k], jacobian[k] = statistic(self, k, x, sloped=sloped)
             used[k] += 0.0 if row.nominal else self.moved[k]
+        for (k, seen, _), each in zip(pulls, self._slopes(x, pulls)):
+            jacobian[k] = each.sum(axis=1)
+            errors[k] = np.sqrt(((each - np.outer(jacobian[k], seen.weights)) ** 2).sum(axis=1))
         cost, slopes, _ = decisions.cost(x)
         loss, pull = mean_loss(self, x, sloped=sloped)
         powers = np.array([row.power for row in self.rows])
         return Look(x, cost, slopes, priced, towards, loss, pull, used, jacobian, errors, powers)
+
+    def _slopes(self, x: np.ndarray, pulls: list[tuple[int, Quantile, Values]]) -> Iterator[np.ndarray]:
+        """Derivatives (n, m) of the used way of each of these rows by its units; one call solves those of all rows."""
+        if not pulls:
+            return
+        ends = np.cumsum([0, *(len(seen.units) for _, seen, _ in pulls)])
+        weights = {name: np.zeros(ends[-1]) for _, _, own in pulls for name in own}
+        for (_, _, own), first, last in zip(pulls, ends[:-1], ends[1:]):
+            for name, row in own.items():
+                weights[name][first:last] = row
+        units = np.concatenate([seen.units for _, seen, _ in pulls])
+        found = self.units.slopes(x, self.tails.z[:, units], weights)
+        for (k, _, _), first, last in zip(pulls, ends[:-1], ends[1:]):
+            yield found[:, first:last] / self.ways[k]
 
     def nominal(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
         """Used ways (c,) of limits without errors, their derivatives (c, n), priced outputs and their derivatives."""
@@ -229,19 +272,30 @@ class Constraints:
 
     def reached(self, look: Look) -> np.ndarray:
         """Wanted rejects (c,) with which each limit would be just met at a look; those of now where none would."""
-        values, found = self._tails(look.x), self.rejects.copy()
+        return self.shares(self._tails(look.x), self.tails.weights, np.isfinite(look.used))
+
+    def shares(self, values: Values, weights: np.ndarray, known: np.ndarray) -> np.ndarray:
+        """Shares (c,) with which the quantiles of units lie at the limits; the wanted rejects elsewhere.
+
+        Args:
+            values: by name (n,) of the units.
+            weights: (n,) of the units.
+            known: (c,) False for rows without a quantile.
+        """
+        found = self.rejects.copy()
         for k, row in enumerate(self.rows):
-            if not row.share or not math.isfinite(look.used[k]):
+            if not row.share or not known[k]:
                 continue
             margins = self._margins(k, values)[0]
             low, high = math.log(self.rejects[k] / 10), math.log(min(10 * self.rejects[k], 0.5))
             for _ in range(_HALVINGS):
                 at = (low + high) / 2
-                low, high = (at, high) if self._quantile(k, margins, math.exp(at)).level > 0 else (low, at)
+                level = self._quantile(k, margins, math.exp(at), weights[: len(margins)]).level
+                low, high = (at, high) if level > 0 else (low, at)
             found[k] = math.exp((low + high) / 2)
         return found
 
-    def limits(self) -> np.ndarray:
+    def sizes(self) -> np.ndarray:
         """Sizes (c,) of the limits, unit of each response; the way of a limit that is 0."""
         found = [(row.item and _size(row.item)) or float(way) for row, way in zip(self.rows, self.ways)]
         return np.array(found)

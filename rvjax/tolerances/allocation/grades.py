@@ -55,7 +55,7 @@ class Grades:
             places, near = self._cheapest(near)
             if places is None:
                 break
-            best = places, near, certifier.draw(self._decisions.population(near.x))
+            best = places, near, certifier.test(constraints, near.x)
             if certifier.holds(best[2]) or certifier.hopeless():  # the cheapest on the sample
                 break
             constraints.rejects, constraints.moved = certifier.corrected(
@@ -69,8 +69,9 @@ class Grades:
                 for j, ladder in self.ladders.items()
             }
             near = constraints.look(self._at(places, end.look.x), sloped=False)
-            best = places, near, certifier.draw(self._decisions.population(near.x))
+            best = places, near, certifier.test(constraints, near.x)
         places, look, seen = best
+        seen = certifier.whole(seen, self._decisions.population(look.x))
         held = certifier.holds(seen) and constraints.missed(look) <= 0
         names = {self._decisions.fields[j]: self.ladders[j][place][0] for j, place in places.items()}
         result = search.allocation(look, seen, "OPTIMAL" if held else "NOT_CERTIFIED", found.learned)

@@ -1,5 +1,6 @@
 """Units at which an allocation looks: their values, and derivatives of sums of these to the vector of decisions."""
 
+import functools
 import hashlib
 import math
 
@@ -15,6 +16,8 @@ from rvjax.tolerances.allocation.decisions import KEPT, Decisions
 from rvjax.tolerances.batch.checkpoint import describe
 from rvjax.tolerances.batch.memo import Memo
 
+_STATES = 4  # solutions of each part that are kept: a look solves its units in a few calls
+
 Values = dict[str, np.ndarray]
 """Numbers (n,) of units, by name of the response."""
 
@@ -24,10 +27,11 @@ class Units:
 
     def __init__(self, response: Response, decisions: Decisions, wanted: set[str], memo: Memo | None) -> None:
         self.parts = [p for p in parts(response, decisions.base) if wanted & set(p.names)] if wanted else []
-        self.solved = 0
+        self.solved = self._parted = 0
         self._decisions, self._memo = decisions, memo
         self._costly = is_costly(response)
         self._latest: list[tuple[Population, np.ndarray, frozenset[str], Values]] = []
+        self._states: list[tuple[Part, Population, dict[bytes, int], np.ndarray]] = []
 
     def values(
         self, population: Population, z: np.ndarray, least: frozenset[str] = frozenset(), few: int = 0
@@ -46,21 +50,37 @@ class Units:
         found = {}
         for part in self.parts:
             own = z[:, :few] if few < z.shape[1] and set(part.names) <= least else z
-            found |= dict(zip(part.names, self._of_part(part, population, own)))
-            self.solved += own.shape[1] // len(self.parts)
-        shortest = min((len(row) for row in found.values()), default=0)
-        failed = np.any([np.isnan(row[:shortest]) for row in found.values()], axis=0)
-        for row in found.values():
-            row[:shortest][failed] = np.nan
+            found |= dict(zip(part.names, self.of_part(part, population, own)))
+        found = self.failing_in_all(found)
         self._latest = [*self._latest[1 - KEPT :], (population, z, least, found)]
         return found
 
-    def _of_part(self, part: Part, population: Population, z: np.ndarray) -> np.ndarray:
-        """Values (k, n) of a part of the response."""
+    @staticmethod
+    def failing_in_all(values: Values) -> Values:
+        """The values, nan in every part where a unit failed in one."""
+        shortest = min((len(row) for row in values.values()), default=0)
+        failed = np.any([np.isnan(row[:shortest]) for row in values.values()], axis=0)
+        for row in values.values():
+            row[:shortest][failed] = np.nan
+        return values
+
+    def of_part(self, part: Part, population: Population, z: np.ndarray) -> np.ndarray:
+        """Values (k, n) of a part of the response.
+
+        Args:
+            part: one of `parts`.
+            population: of the units.
+            z: (numbers, n) of the units.
+        """
+        self._parted += z.shape[1]
+        self.solved += self._parted // len(self.parts)
+        self._parted %= len(self.parts)
 
         def compute() -> np.ndarray:
             if self._costly:
-                values, status = part.solve(population, z)
+                values, status, state = part.solve(population, z)
+                place = {column.tobytes(): k for k, column in enumerate(z.T)}
+                self._states = [*self._states[1 - _STATES * len(self.parts) :], (part, population, place, state)]
             else:
                 blocks = [np.asarray(z[:, units], jnp.result_type(float)) for units in calls(z.shape[1], BLOCK)]
                 found = [respond(part.response, population, block) for block in blocks]
@@ -74,11 +94,12 @@ class Units:
         about = repr((part.names, sorted(describe(population, {}).items()))).encode()
         return self._memo.recall({"design": hashlib.sha256(about + z.tobytes()).hexdigest()}, compute).copy()
 
-    def gradients(self, population: Population, errors: np.ndarray, pulled: Values) -> np.ndarray:
+    def gradients(self, population: Population, z: np.ndarray, errors: np.ndarray, pulled: Values) -> np.ndarray:
         """Gradients (elements and numbers, n) of sums of responses with weights (n,) by name.
 
         Args:
             population: with the numbers of the design.
+            z: (numbers, n) of the units.
             errors: (elements, n) of the units.
             pulled: weights; other parts of the response are not computed.
         """
@@ -88,18 +109,33 @@ class Units:
                 continue
             nothing = np.zeros(errors.shape[1])
             weights = np.stack([pulled.get(name, nothing) for name in part.names])
+            units = np.flatnonzero(weights.any(axis=0))
+            if not len(units):
+                continue
 
-            def compute(part: Part = part, weights: np.ndarray = weights) -> np.ndarray:
-                return gradients(part.response, population, errors, weights, part.names)[1]
-
+            compute = functools.partial(
+                self._pulled, part, population, z[:, units], errors[:, units], weights[:, units]
+            )
             if self._memo is None:
-                total += compute()
+                total[:, units] += compute()
             else:
                 about = repr((part.names, sorted((population.values or {}).items()))).encode()
-                weighted = hashlib.sha256(about + errors.tobytes() + weights.tobytes()).hexdigest()
-                total += self._memo.recall({"gradients of": weighted}, compute)
-        self.solved += errors.shape[1]
+                weighted = hashlib.sha256(about + errors[:, units].tobytes() + weights[:, units].tobytes()).hexdigest()
+                total[:, units] += self._memo.recall({"gradients of": weighted}, compute)
         return total
+
+    def _pulled(
+        self, part: Part, population: Population, z: np.ndarray, errors: np.ndarray, weights: np.ndarray
+    ) -> np.ndarray:
+        """Gradients (elements and numbers, n) of a part; units whose state is known are not solved again."""
+        known = [(place, state) for own, there, place, state in self._states if own is part and there is population]
+        keys = [column.tobytes() for column in z.T]
+        states = [next((state[:, place[key]] for place, state in known if key in place), None) for key in keys]
+        found = [state for state in states if state is not None]
+        if len(found) == len(keys):
+            return part.slopes_of_elements(population, errors, np.stack(found, axis=1), weights)
+        self.solved += z.shape[1]
+        return gradients(part.response, population, errors, weights, part.names)[1]
 
     def slope(self, x: np.ndarray, z: np.ndarray, pulled: Values) -> np.ndarray:
         """Derivative (n,) of the sum over units of responses with weights (m,), to the vector of decisions."""
@@ -115,7 +151,7 @@ class Units:
         """
         decisions, population = self._decisions, self._decisions.population(x)
         errors, rates = elements_and_rates(population, dict(zip(decisions.fields, decisions.half_widths(x))), z)
-        slopes, count = self.gradients(population, errors, pulled), len(rates)
+        slopes, count = self.gradients(population, z, errors, pulled), len(rates)
         slopes = np.where(np.isfinite(slopes).all(axis=0), slopes, 0.0)
         ends = np.cumsum([0, *(math.prod(t.shape) for t in population.active.values())])
         place = dict(zip(population.active, map(slice, ends[:-1], ends[1:])))
@@ -131,7 +167,7 @@ class Units:
         """Gradients (numbers, n) of responses of units to their z."""
         lanes = np.asarray(padded(z, PULLED, axis=1), jnp.result_type(float))
         errors = np.asarray(elements(population, lanes), float)[:, : z.shape[1]]
-        slopes = self.gradients(population, errors, pulled)[: len(errors)]
+        slopes = self.gradients(population, z, errors, pulled)[: len(errors)]
         return np.asarray(_to_z(population, lanes, padded(slopes, PULLED, axis=1)), float)[:, : z.shape[1]]
 
 

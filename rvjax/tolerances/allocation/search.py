@@ -29,10 +29,10 @@ DEARER = 0.2
 """Part of the learned cost by which a certified one may exceed it and still be called the cheapest."""
 
 _BEYOND = 40  # units of the last sample beyond each limit that decides
-_STAGES = 2048, 4096  # costly units of samples between the first and the last one
+_STAGES = (4096,)  # costly units of samples between the first and the last one
 _MOST = 16_384  # costly units of a sample, at most
-_TESTS = 6  # certificates of one search, at most
-_WORTH = 1e-3, 4e-3  # gain of the cost, as a part of it, for which another one of quick, of costly units is computed
+_TESTS = 10  # certificates of one search, at most
+_WORTH = 1e-3, 3e-3  # gain of the cost, as a part of it, for which another one of quick, of costly units is computed
 _MORE, _TIMES = 0.02, 4  # part of the cost that more certificate units must save, and how many more at most
 _CHANGED = 0.03  # logarithm of wanted rejects, by which a search along rays is repeated
 _EXACTLY = 1e-9  # excess of a limit without sampling error that is rounding
@@ -219,13 +219,13 @@ class Search:
         """The end of a search, corrected by certificates until one holds with a small margin, and its result."""
         end = self._enough(end)
         learned, best = self._before(end), None
-        constraints, certifier = self.constraints, self.certifier
+        constraints, certifier, enough = self.constraints, self.certifier, _WORTH[self.problem.costly]
         held_at, failed_at = np.zeros(len(constraints.rows)), np.full(len(constraints.rows), np.inf)
         for test in range(_TESTS):
-            seen = certifier.draw(self.decisions.population(end.look.x))
+            seen = certifier.test(constraints, end.look.x)
             held = certifier.holds(seen) and constraints.missed(end.look) <= _EXACTLY
             if held and (best is None or end.look.total < best[0].look.total):
-                best = end, seen
+                best = end, seen, constraints.rejects, constraints.moved
             reached = constraints.reached(end.look) if self.rays is None else constraints.rejects
             rejects, moved = certifier.corrected(constraints, end.look, seen, reached)
             bad = certifier.failing(constraints, seen)
@@ -235,8 +235,8 @@ class Search:
                 np.where(held_at > 0, held_at, rejects) * np.where(np.isfinite(failed_at), failed_at, rejects)
             )
             rejects = np.where((rejects >= failed_at) | (rejects < held_at), between, rejects)
-            gain = self._gain(end, rejects, moved)
-            if (held and gain < _WORTH[self.problem.costly] * abs(end.look.total)) or certifier.hopeless():
+            gain = self._gain(end, rejects, moved) if held or best is None else best[0].look.total - end.look.total
+            if (best is not None and gain < enough * abs(end.look.total)) or certifier.hopeless():
                 break
             if held and test and best is not None and end is not best[0]:  # looser, and dearer
                 break
@@ -245,7 +245,8 @@ class Search:
             if held and end.look.total >= last.look.total:
                 break
         if best is not None:
-            end, seen = best
+            end, seen, constraints.rejects, constraints.moved = best
+        seen = certifier.whole(seen, self.decisions.population(end.look.x))
         return self._result(end, seen, learned), end
 
     def _gain(self, end: End, rejects: np.ndarray, moved: np.ndarray) -> float:

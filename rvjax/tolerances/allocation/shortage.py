@@ -29,7 +29,7 @@ def least_shortage(search: "Search", x: np.ndarray) -> End:
     search.constraints.rejects = np.array([constraints.target(k) for k in range(len(constraints.rows))])
     high, free = programme.high.copy(), programme.high
     high[:count] = programme.low[:count]
-    programme.high, programme.weights = high, constraints.ways / constraints.limits()
+    programme.high, programme.weights = high, constraints.ways / constraints.sizes()
     ends = [search.run(np.clip(start, programme.low, high), RADIUS) for start in (x, search.decisions.start)]
     end = min(ends, key=lambda end: float(programme.weights @ np.maximum(end.look.used - 1, 0.0)))
     programme.high, programme.weights = free, None
@@ -79,7 +79,7 @@ def refused(search: "Search", end: End) -> Allocation:
 def _helping(search: "Search", end: End) -> tuple[str, str] | None:
     """Bound of a number of the design whose move outwards reduces the shortage most."""
     first = len(search.decisions.fields) + len(search.decisions.moves)
-    weights = search.constraints.ways / search.constraints.limits()
+    weights = search.constraints.ways / search.constraints.sizes()
     pull = (weights * (end.look.used > 1)) @ np.where(np.isfinite(end.look.jacobian), end.look.jacobian, 0.0)
     x, found = end.look.x, []
     for k, name in enumerate(search.decisions.free, first):

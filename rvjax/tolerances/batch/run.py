@@ -87,6 +87,13 @@ class Run:
         counted.add(0, 0, values, counted.judged(values, status))
         return self._figures(counted, study)
 
+    def z(self) -> np.ndarray:
+        """Random numbers (numbers, samples) of all units."""
+        count = min(self.chunk, self.samples)
+        evaluated = evaluator(self.response, self.population, self.seed, self.method, count)
+        rows = [np.asarray(evaluated.z(first)) for first in range(0, self.samples, count)]
+        return np.concatenate(rows, axis=1)[:, : self.samples]
+
     def _described(self) -> dict[str, str]:
         """Inputs of the run as text."""
         about = describe(self.population, self.requirements)

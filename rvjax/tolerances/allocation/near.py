@@ -1,0 +1,99 @@
+"""Costly units near their limits: at a neighbouring vector only these are solved, the others keep their values.
+
+A limit on a share needs the values of the units about a quantile. Units that were far inside the limit at one vector
+are not beyond it at the next: none moves much farther than those in the tail, which are solved at both.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from rvjax.population import Population
+from rvjax.response import Part
+from rvjax.tolerances.allocation.decisions import KEPT
+from rvjax.tolerances.allocation.sample import Units, Values
+
+_FIRST = 8.0  # times the rejects: units that are solved at first
+_LEAST = 64  # of these
+_WINDOW = 4.0  # times the rejects: units that a quantile may be formed of
+_CLOSER = 0.5  # part of the way to the quantile that a solved unit next to the others may have made
+_FAR, _INSIDE = (
+    0.3,
+    0.15,
+)  # parts of the way inside a limit: of units that are not needed, of a quantile that does not decide
+_ALL = 0.5  # of the units: from so many on all are solved
+
+
+class Limited(NamedTuple):
+    """A limit on a share: its responses, margins of units with these values in ways of the limit, and the share."""
+
+    names: tuple[str, ...]
+    margins: Callable[[Values], np.ndarray]
+    share: float
+
+
+class NearUnits:
+    """One sample: values of all its units at one vector, and at others of those that are near a limit."""
+
+    def __init__(self, units: Units, z: np.ndarray, known: Values) -> None:
+        self.z, self._units, self._known = z, units, known
+        self._latest: list[tuple[Population, list[float], Values]] = []
+
+    def values(self, population: Population, limits: Sequence[Limited]) -> Values:
+        """Values (n,) by name at another vector; of units far inside every limit those of the last known one.
+
+        Args:
+            population: at the vector.
+            limits: that decide which units are near.
+        """
+        shares = [limit.share for limit in limits]
+        for there, theirs, found in self._latest:
+            if there is population and all(one <= _FIRST / _WINDOW * other for one, other in zip(shares, theirs)):
+                return found
+        found = {name: row.copy() for name, row in self._known.items()}
+        solved = [self._solve(part, population, limits, found) for part in self._units.parts]
+        found = self._units.failing_in_all(found)
+        if all(solved):
+            self._known = found
+        self._latest = [*self._latest[1 - KEPT :], (population, shares, found)]
+        return found
+
+    def _solve(self, part: Part, population: Population, limits: Sequence[Limited], found: Values) -> bool:
+        """Solve the units of a part that are near, the nearest first; True if these are all."""
+        count = len(found[part.names[0]])
+        own = [limit for limit in limits if set(limit.names) & set(part.names)]
+        before = [limit.margins(found) for limit in own]
+        place = np.full(count, np.inf)
+        for limit, margins in zip(own, before):
+            rank = np.empty(count)
+            rank[np.argsort(-margins[:count], kind="stable")] = np.arange(count)
+            last = np.where(margins[:count] > -_FAR, 0.0, count)  # no quantile of theirs is near the limit
+            place = np.minimum(place, rank / (limit.share * count) + last)
+        order, done = np.argsort(place, kind="stable"), 0
+        size = max(int((place < _FIRST).sum()), _LEAST)
+        while done < count:
+            size = count if size > _ALL * count else size
+            near = order[done:size]
+            for name, row in zip(part.names, self._units.of_part(part, population, self.z[:, near])):
+                found[name][near] = row
+            done, size = size, 2 * size
+            if all(_enough(limit, was, found, order[:done]) for limit, was in zip(own, before)):
+                break
+        return done >= count
+
+
+def _enough(limit: Limited, before: np.ndarray, found: Values, solved: np.ndarray) -> bool:
+    """True if no other unit can be among those that the quantile is formed of."""
+    now, count = limit.margins(found), len(before)
+    others = np.ones(count, bool)
+    others[solved] = False
+    if not others.any():
+        return True
+    formed = min(int(_WINDOW * limit.share * count) + _LEAST // 2, count - 1)
+    level = max(np.partition(now, count - 1 - formed)[count - 1 - formed], -_INSIDE)
+    if before[others].max() >= level:
+        return False
+    inner = solved[(before[solved] <= np.median(before[solved])) & np.isfinite(before[solved])]
+    way = (now[inner] - before[inner]) / np.maximum(level - before[inner], 1e-300)
+    return bool(way.max(initial=0.0) <= _CLOSER)

@@ -1,0 +1,97 @@
+"""Costly units near their limits: used ways by these alone are those of all units, and far fewer are solved.
+
+Oracle: the same sample with all of its units solved at each vector.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_tolerances_constraints import X, constraints
+
+from rvjax.response import Outcome
+from rvjax.status import Status
+from rvjax.tolerances import Requirement
+
+UNITS = 4096
+ONE = Requirement(lower=-0.29, upper=0.45, target=0.99)  # its used way is about 1 at X
+BOTH = {"y": ONE, "b": Requirement(upper=0.21, target=0.98)}
+WAY = np.array([0.3, -0.5, 1.0, 0.2, 0.0, -0.4])
+WAY = WAY / np.abs(WAY).max()
+
+
+def of_all(made, x):
+    """A look at all units of a sample."""
+    made._near = None
+    return made.look(x)
+
+
+@pytest.mark.parametrize("required", [{"y": ONE}, BOTH])
+@pytest.mark.parametrize(("step", "part"), [(1e-4, 0.2), (0.01, 0.35), (0.03, 0.5), (0.3, 1.0)])
+def test_used_ways_are_those_of_all_units(required, step, part):
+    """Also their derivatives and standard errors; the farther the step, the more units are solved."""
+    made, oracle = (constraints(required, costly=True, samples=UNITS, begun=X) for _ in range(2))
+    made.look(X)
+    assert (made.look(X).used > 0.85).all()
+    before, there = made.units.solved, made.look(X + step * WAY)
+    solved, due = made.units.solved - before, of_all(oracle, X + step * WAY)
+    for name in ("used", "jacobian", "errors"):
+        np.testing.assert_allclose(getattr(there, name), getattr(due, name), rtol=1e-12, atol=1e-14)
+    assert solved <= part * UNITS + 256 and (part < 1 or solved >= UNITS)
+
+
+def test_units_that_all_move_inside_are_solved():
+    """Those that keep their old values would lie beyond the others."""
+    made, oracle = (constraints({"y": ONE}, costly=True, samples=UNITS) for _ in range(2))
+    out = X + np.array([0.5, 0.5, 0.5, 0.0, 0.0, 0.0])
+    for x in (X + 0.02 * (out - X), X, X - 0.1 * (out - X)):
+        made._near = None
+        made.look(out)
+        assert made.look(x, sloped=False).used == pytest.approx(of_all(oracle, x).used, rel=1e-12)
+
+
+def test_a_limit_that_does_not_decide_needs_the_units_behind_its_slope_alone():
+    far = {"y": ONE, "b": Requirement(upper=2.0, target=0.99)}
+    made, one = (constraints(required, costly=True, samples=UNITS) for required in (far, {"y": ONE}))
+    counts = []
+    for each in (made, one):
+        each.look(X)
+        before = each.units.solved
+        each.look(X + 0.001 * WAY)
+        counts.append(each.units.solved - before)
+    assert counts[0] < counts[1] + 2 * 0.04 * UNITS  # those behind its slope
+
+
+def test_many_small_steps_never_lose_a_unit():
+    """Values of units far inside are of the first vector; after many steps some of them are near."""
+    made, oracle = (constraints({"y": ONE}, costly=True, samples=UNITS) for _ in range(2))
+    made.look(X)
+    for k in range(1, 40):
+        x = X + 0.02 * k * WAY
+        assert made.look(x, sloped=False).used == pytest.approx(of_all(oracle, x).used, rel=1e-12)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.25])
+def test_a_unit_that_fails_in_one_part_fails_in_all(shift):
+    """The number d moves the error above which b fails; y is another part, which has no failures of its own."""
+
+    class Of(NamedTuple):
+        names: tuple
+        costly: bool = True
+
+        def parts(self):
+            return [Of((name,)) for name in self.names]
+
+        def __call__(self, e, v):
+            value = {"y": e["a"] + 0.6 * e["b"] - 0.5 * e["c"], "b": e["b"] + 0.0 * v["d"]}
+            high = jnp.where(e["b"] > 0.2 / v["d"], int(Status.NONFINITE), int(Status.CONVERGED))
+            return Outcome({n: value[n] for n in self.names}, high if "b" in self.names else int(Status.CONVERGED))
+
+    required = {"y": Requirement(lower=-0.45, upper=0.45, target=0.9), "b": Requirement(upper=0.19, target=0.9)}
+    made, oracle = (constraints(required, response=Of(("y", "b")), costly=True, samples=UNITS) for _ in range(2))
+    x = X + np.array([0, 0, 0, 0, 0, shift])
+    made.look(X)
+    found, due = made._tails(x), oracle._tails(x)
+    assert np.isnan(due["y"]).sum() > 10 and (np.isnan(found["y"]) == np.isnan(found["b"])).all()
+    assert made.look(x).used == pytest.approx(oracle.look(x).used, rel=1e-12)
