@@ -91,7 +91,9 @@ def _enough(limit: Limited, before: np.ndarray, found: Values, solved: np.ndarra
     if not others.any():
         return True
     formed = min(int(_WINDOW * limit.share * count) + _LEAST // 2, count - 1)
-    level = max(np.partition(now, count - 1 - formed)[count - 1 - formed], -_INSIDE)
+    ends = [count - 1 - formed, count - 1 - int(limit.share * count)]
+    last, quantile = np.partition(now, ends)[ends]
+    level = last if quantile > -_INSIDE else -_INSIDE
     if before[others].max() >= level:
         return False
     inner = solved[(before[solved] <= np.median(before[solved])) & np.isfinite(before[solved])]
