@@ -67,9 +67,9 @@ class NearUnits:
         place = np.full(count, np.inf)
         for limit, margins in zip(own, before):
             rank = np.empty(count)
-            rank[np.argsort(-margins[:count], kind="stable")] = np.arange(count)
-            last = np.where(margins[:count] > -_FAR, 0.0, count)  # no quantile of theirs is near the limit
-            place = np.minimum(place, rank / (limit.share * count) + last)
+            rank[np.argsort(-margins, kind="stable")] = np.arange(count)
+            last = count if _margin(margins, limit.share * count) < -_FAR else 0  # the limit does not decide
+            place = np.minimum(place, rank / (limit.share * count) + np.where(margins > -_FAR, 0, last))
         order, done = np.argsort(place, kind="stable"), 0
         size = max(int((place < _FIRST).sum()), _LEAST)
         while done < count:
@@ -90,12 +90,16 @@ def _enough(limit: Limited, before: np.ndarray, found: Values, solved: np.ndarra
     others[solved] = False
     if not others.any():
         return True
-    formed = min(int(_WINDOW * limit.share * count) + _LEAST // 2, count - 1)
-    ends = [count - 1 - formed, count - 1 - int(limit.share * count)]
-    last, quantile = np.partition(now, ends)[ends]
-    level = last if quantile > -_INSIDE else -_INSIDE
+    decides = _margin(now, limit.share * count) > -_INSIDE
+    level = _margin(now, _WINDOW * limit.share * count + _LEAST // 2) if decides else -_INSIDE
     if before[others].max() >= level:
         return False
     inner = solved[(before[solved] <= np.median(before[solved])) & np.isfinite(before[solved])]
     way = (now[inner] - before[inner]) / np.maximum(level - before[inner], 1e-300)
     return bool(way.max(initial=0.0) <= _CLOSER)
+
+
+def _margin(margins: np.ndarray, beyond: float) -> float:
+    """The margin that so many others exceed."""
+    place = max(len(margins) - 1 - int(beyond), 0)
+    return float(np.partition(margins, place)[place])
