@@ -6,8 +6,8 @@
     python -m benchmarks.optima --against benchmarks/optima.json  also apply the gates; exit code 1 where one fails
     python -m benchmarks.optima --seeds 3                         spread of the ratio over seeds of the quick rows
 
-Gates: no cost more than 0.2 % above the frozen one, no status worse, no result called optimal below a known optimum,
-CPU seconds of the studies at most 5 % above the frozen ones. CPU seconds count only if nothing else ran on the computer
+Gates: no cost more than 0.3 % above the frozen one, no status worse, no result called optimal below a known optimum,
+CPU seconds of the studies at most 25 % above the frozen ones. CPU seconds count only if nothing else ran on the computer
 during either run. Quick rows run twice in this process and the second run is timed. Studies and `rv-0` run once in
 their own process with kept programs, and again where they first had to compile these.
 """
@@ -39,7 +39,7 @@ from rvjax.tolerances import Allocation, allocate
 
 ROOT = Path(__file__).parents[1]
 FROZEN, FOLDER = Path(__file__).with_suffix(".json"), ROOT / "build" / "optima"
-DEARER, SLOWER, BELOW, QUIET = 1.002, 1.05, 0.999, 0.1  # QUIET: cores that other work may use
+DEARER, SLOWER, BELOW, QUIET = 1.003, 1.25, 0.999, 0.1  # QUIET: cores that other work may use
 ORDER = ("OPTIMAL", "SUBOPTIMAL", "MAX_STEPS", "NOT_CERTIFIED", "INFEASIBLE")
 CERTIFIED = ORDER[:3]
 VALUES = {"respond", "_respond_on", "_solved", "_solved_on"}  # programs that give values of units, and gradients
