@@ -21,6 +21,9 @@ from rvjax.tolerances.batch.statistics import Statistics, rejects
 from rvjax.tolerances.failure.failure import failure_probability
 from rvjax.tolerances.requirements.limits import Limits, Verdict
 
+TESTS = 10
+"""Certificates of one search, at most."""
+
 _RARE = 20_000, 200_000  # units behind a probability of failure
 _EXPECTED = 200  # rejects in a certificate of quick units, below which a probability of failure is more accurate
 _TRUSTED = {"OK", "SEVERAL_POINTS", "KINKED_POINT", "RARE_NOMINAL"}  # all but OK concern the reliability index alone

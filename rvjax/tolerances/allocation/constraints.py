@@ -16,7 +16,7 @@ from scipy import special
 from rvjax._jax.blocks import PULLED
 from rvjax.population import first_points
 from rvjax.response import response_names
-from rvjax.tolerances.allocation.decisions import Decisions
+from rvjax.tolerances.allocation.decisions import AT, Decisions
 from rvjax.tolerances.allocation.look import FAILED, JOINT, Look, Row
 from rvjax.tolerances.allocation.near import Limited, NearUnits
 from rvjax.tolerances.allocation.nominal import NominalOutputs
@@ -34,7 +34,6 @@ SPARE = 0.85
 
 _QUARTER = 2  # times as many quick units as are behind a slope, at least
 _HALVINGS = 16  # of a factor of 100: an error of 1e-4
-_INSET = 1e-6  # of the way of a limit without sampling error, above what rounding leaves
 _SMALL = 1e-3  # way of a limit in parts of the spread, where the median lies beyond it
 
 
@@ -57,7 +56,7 @@ class Constraints:
         outputs = {n for n, item in required.items() if not item.of_sample} | set(problem.objective)
         self._nominal = NominalOutputs(problem.response, tuple(sorted(outputs)))
         self.ways = np.ones(len(self.rows))
-        self.moved = np.array([_INSET if row.exact else 0.0 for row in self.rows])
+        self.moved = np.array([AT if row.exact else 0.0 for row in self.rows])
         """Corrections (c,) of the used ways that are no quantiles."""
         self.rejects = np.array([self.target(k) for k in range(len(self.rows))])
         """Share of units (c,) that may lie beyond each limit on the sample; 0 where no share is limited."""

@@ -15,9 +15,12 @@ from rvjax.tolerances.allocation.variable import Middle, Variable
 KEPT = 8
 """Vectors whose units are kept: a step that was not taken, or a scaled one, goes back to an earlier one."""
 
-_STEP = 1e-4  # of differences of a cost, part of a range
-_NOTHING = 1e-9  # of a half-width
-_SAME = 1e-9  # part of a range that is rounding
+ROUNDING, AT = 1e-9, 1e-6
+"""Differences that are rounding; distance from a bound, in parts of a range, below which a decision is at it."""
+
+STEP = 1e-4
+"""Step of differences, part of a range."""
+
 _REACH = 0.3  # of a step in a mid-point or a number, where that of a half-width is 1
 
 
@@ -96,7 +99,7 @@ class Decisions:
             item = self.variables[name]
             value = item.upper if part >= 1 else item.lower + part * (item.upper - item.lower)
             near = min(item.among, key=lambda listed: abs(listed - value), default=value)
-            found[name] = near if abs(near - value) <= _SAME * (item.upper - item.lower) else value
+            found[name] = near if abs(near - value) <= ROUNDING * (item.upper - item.lower) else value
         return found
 
     def rates(self) -> np.ndarray:
@@ -123,7 +126,7 @@ class Decisions:
         """Units with these mid-points and numbers, whose priced errors are next to nothing."""
         there = self.population(x)
         widths = self.half_widths(x)
-        return there.with_half_widths({name: _NOTHING * t for name, t in zip(self.fields, map(float, widths))})
+        return there.with_half_widths({name: ROUNDING * t for name, t in zip(self.fields, map(float, widths))})
 
     def _population(self, x: np.ndarray) -> Population:
         moved = {n: _moved(self.base.active[n], m - self.given[n]) for n, m in self.middles_at(x).items()}
@@ -162,10 +165,10 @@ class Decisions:
             item, part = self.variables[name], min(max(float(x[k]), 0.0), 1.0)
             if item.cost is not None:
                 own = lambda p: item.own_cost(item.lower + p * (item.upper - item.lower))  # noqa: B023, E731
-                at = min(max(part, _STEP), 1 - _STEP)
-                before, here, after = own(at - _STEP), own(at), own(at + _STEP)
-                bends[k] = (after - 2 * here + before) / _STEP**2
-                slopes[k] = (after - before) / (2 * _STEP) + bends[k] * (part - at)
+                at = min(max(part, STEP), 1 - STEP)
+                before, here, after = own(at - STEP), own(at), own(at + STEP)
+                bends[k] = (after - 2 * here + before) / STEP**2
+                slopes[k] = (after - before) / (2 * STEP) + bends[k] * (part - at)
         own_costs = sum(self.variables[name].own_cost(value) for name, value in self.values(x).items())
         return total + own_costs, slopes, bends
 

@@ -13,6 +13,7 @@ import numpy as np
 import scipy
 
 from rvjax.population import GRADES, it_width
+from rvjax.tolerances.allocation.certificate import TESTS
 from rvjax.tolerances.allocation.cost import Cost
 from rvjax.tolerances.allocation.look import Look
 from rvjax.tolerances.allocation.programme import AGAIN, COARSE, MET, End, expansion
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
 
 _FINE = 48  # half-widths of a field without grades, in its range
 _SETS = 12  # sets that are looked at before each certificate, at most
-_TESTS = 8  # certificates, at most
-_BINARY = 0.5
 
 Places = dict[int, int]
 """Places of the graded fields on their ladders."""
@@ -51,7 +50,7 @@ class Grades:
         search, certifier, constraints = self._search, self._search.certifier, self._search.constraints
         near, rejects, moved = end.look, constraints.rejects, constraints.moved
         best: tuple[Places, Look, Statistics] | None = None
-        for _ in range(_TESTS):
+        for _ in range(TESTS):
             places, near = self._cheapest(near)
             if places is None:
                 break
@@ -156,7 +155,7 @@ class Grades:
         found: Any = scipy.optimize.milp(costs, constraints=limits, integrality=np.ones(len(fields)), bounds=(0, 1))
         if found.x is None:
             return None
-        taken = found.x > _BINARY
+        taken = found.x > 0.5
         return {j: int(np.flatnonzero(taken[fields == j])[0]) for j in self.ladders}
 
     def _costs(self, near: Look, fields: np.ndarray, logs: np.ndarray) -> np.ndarray:

@@ -22,7 +22,6 @@ _FAR, _INSIDE = (
     0.3,
     0.15,
 )  # parts of the way inside a limit: of units that are not needed, of a quantile that does not decide
-_ALL = 0.5  # of the units: from so many on all are solved
 
 
 class Limited(NamedTuple):
@@ -61,7 +60,8 @@ class NearUnits:
 
     def _solve(self, part: Part, population: Population, limits: Sequence[Limited], found: Values) -> bool:
         """Solve the units of a part that are near, the nearest first; True if these are all."""
-        count = len(found[part.names[0]])
+        rows = {name: k for k, name in enumerate(part.names) if name in found}
+        count = len(found[next(iter(rows))])
         own = [limit for limit in limits if set(limit.names) & set(part.names)]
         before = [limit.margins(found) for limit in own]
         place = np.full(count, np.inf)
@@ -73,10 +73,11 @@ class NearUnits:
         order, done = np.argsort(place, kind="stable"), 0
         size = max(int((place < _FIRST).sum()), _LEAST)
         while done < count:
-            size = count if size > _ALL * count else size
+            size = count if 2 * size > count else size
             near = order[done:size]
-            for name, row in zip(part.names, self._units.of_part(part, population, self.z[:, near])):
-                found[name][near] = row
+            solved = self._units.of_part(part, population, self.z[:, near])
+            for name, k in rows.items():
+                found[name][near] = solved[k]
             done, size = size, 2 * size
             if all(_enough(limit, was, found, order[:done]) for limit, was in zip(own, before)):
                 break
@@ -95,7 +96,8 @@ def _enough(limit: Limited, before: np.ndarray, found: Values, solved: np.ndarra
     if before[others].max() >= level:
         return False
     inner = solved[(before[solved] <= np.median(before[solved])) & np.isfinite(before[solved])]
-    way = (now[inner] - before[inner]) / np.maximum(level - before[inner], 1e-300)
+    with np.errstate(invalid="ignore"):  # where too many units fail
+        way = (now[inner] - before[inner]) / np.maximum(level - before[inner], 1e-300)
     return bool(way.max(initial=0.0) <= _CLOSER)
 
 

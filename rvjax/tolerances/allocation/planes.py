@@ -4,6 +4,8 @@ Where such an output is the largest of several functions it has corners. Every p
 and a plane counts as long as it lies below all values seen.
 """
 
+import math
+
 import numpy as np
 
 from rvjax.tolerances.allocation.constraints import Constraints
@@ -30,14 +32,15 @@ class Planes:
         self.priced.append(priced)
         self._slopes.append((rates, towards))
         c = len(self.nominal)
-        self._flat = [
-            (k, i)
-            for i, place in enumerate(self._places)
-            for k in [*self._rows, c]
-            if i == len(self._places) - 1
-            or all(self._value(k, i, at) <= self._seen(k, j) for j, at in enumerate(self._places))
-        ]
+        self._flat = [(k, i) for i in range(len(self._places)) for k in [*self._rows, c] if self._supports(k, i)]
         self.owner = [k for k, _ in self._flat]
+
+    def _supports(self, k: int, i: int) -> bool:
+        """True if a plane is known and lies below all values seen, or is the latest one."""
+        rates, towards = self._slopes[i]
+        known = math.isfinite(self._seen(k, i)) and np.isfinite(towards if k == len(self.nominal) else rates[k]).all()
+        latest = i == len(self._places) - 1
+        return known and (latest or all(self._value(k, i, at) <= self._seen(k, j) for j, at in enumerate(self._places)))
 
     def _seen(self, k: int, j: int) -> float:
         value = self.priced[j] if k == len(self.nominal) else float(self.used[j][k])
@@ -58,8 +61,9 @@ class Planes:
         used, rates, priced, towards = self._constraints.nominal(x)
         c = len(self.nominal)
         told = {k: max(self._value(k, i, x) for j, i in self._flat if j == k) for k in self.owner}
-        error = max((abs(told[k] - used[k]) for k in self._rows), default=0.0)
-        error = max(error, abs(told[c] - priced) / max(abs(priced), 1e-300))
+        off = [abs(told[k] - used[k]) for k in self._rows if k in told]
+        off += [abs(told[c] - priced) / max(abs(priced), 1e-300)] if c in told else []
+        error = max(off, default=0.0)
         self._add(x, used, rates, priced, towards)
         return error
 

@@ -14,7 +14,7 @@ from rvjax.population import Correlation, Estimate, Population, Tolerance, devia
 from rvjax.records import Record, is_concrete
 from rvjax.response import BLOCK, Response, by_response, is_costly, response_names
 from rvjax.tolerances.allocation.cost import COSTS, Cost
-from rvjax.tolerances.allocation.decisions import Decisions
+from rvjax.tolerances.allocation.decisions import ROUNDING, Decisions
 from rvjax.tolerances.allocation.variable import Middle, Variable, check_middles, with_values
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.batch.run import Run
@@ -34,7 +34,6 @@ SPARE = 0.3
 """Standard errors of a share beyond what a certificate needs: the next sample shows a little less than the last."""
 
 _FIELDS = 60  # decisions that `QUICK` units are enough for: more learn the sample by heart
-_STILL = 1e-9  # of the half-width: less is rounding of equal values
 
 
 @dataclasses.dataclass(frozen=True)
@@ -206,7 +205,7 @@ def costs_by_field(costs: Any, active: Mapping[str, Tolerance], *, needed: bool 
         if (
             is_concrete(one.half_width)
             and one.half_width > 0
-            and np.all(one.moments()[1] <= (_STILL * one.half_width) ** 2)
+            and np.all(one.moments()[1] <= (ROUNDING * one.half_width) ** 2)
         ):
             raise ValueError(
                 f"tolerances: {name} does not vary: {one.distribution} values that are all equal; measure with a "

@@ -14,12 +14,16 @@ import numpy as np
 import scipy
 
 from rvjax.tolerances.allocation.constraints import Constraints
+from rvjax.tolerances.allocation.decisions import AT, ROUNDING
 from rvjax.tolerances.allocation.interior import Model, minimum
 from rvjax.tolerances.allocation.look import Look
 from rvjax.tolerances.allocation.planes import Planes
 
 GAIN = 1e-5, 5e-4
 """Promised gain, as a part of the cost, below which a search on quick and on costly units ends."""
+
+LOOKS = 12
+"""Vectors of a search that need not be exact, at most."""
 
 COARSE = 5e-3
 """The same on a sample that grows afterwards."""
@@ -33,17 +37,15 @@ MET = 0.01
 RADIUS, AGAIN = 1.0, 0.3
 """First box of a search, in logarithms of half-widths, and of one that begins at the end of another."""
 
-_LARGEST, _LEAST = 2.0, (1e-3, 1e-2)  # boxes; the least of quick and of costly units
+_LEAST = 1e-3, 1e-2  # boxes of quick and of costly units, below which a search ends
 _TAKEN, _GOOD = 0.05, 0.7  # parts of a promised gain: a step is taken, the box grows
 _SHORTER = 3.0  # times smaller is the box than a step that was not taken
 _FLAT = 0.05  # used way, below which its square has no slope of its own
 _LOST = 3.0  # excess of a limit whose units fail, in parts of its way
 _PRICE, _DEARER_BY, _DEARER = 2.0, 10.0, 1e4  # of an excess of a whole way, in costs; its growth, and the most
 _STRAIGHTER = 4  # times at the end of a search, at most, at which what was learned of curvatures is reduced
-_EXACT = 1e-9  # error of a limit without errors at the end of a step, in parts of its way
 _ROUNDS = 8  # of the model, each with these outputs seen at the end of the one before
 _BENT = 0.03  # of a reach: the errors of a shorter step are not those of a curvature
-_AT = 1e-6  # distance from a bound that is none
 _NOTHING = 1e-3  # of the sum of slopes, a cost that is next to nothing
 
 
@@ -113,6 +115,9 @@ class Programme:
             size = self._size(here)
             plan = self._plan(here, radius, elastic)
             promised = self._merit(here, elastic) - plan.merit
+            if not math.isfinite(promised) and radius >= least:  # an output without errors fails there
+                radius /= _SHORTER
+                continue
             if promised <= gain * size or radius < least:
                 broken = _excess(here) > MET
                 if radius >= least and self.weights is None and broken.any() and elastic.max() < _DEARER * size:
@@ -133,7 +138,7 @@ class Programme:
                 continue
             self._learn(there, here, taken=True)
             if gained > _GOOD * promised:
-                radius = min(_LARGEST, max(radius, 2 * step))
+                radius = min(2 * RADIUS, max(radius, 2 * step))
             elif gained < (1 - _GOOD) * promised:
                 radius = min(radius, step)
             here = there
@@ -146,7 +151,7 @@ class Programme:
             here: the look.
             settled: see `End`.
         """
-        low, high = here.x <= self.low + _AT, here.x >= self.high - _AT
+        low, high = here.x <= self.low + AT, here.x >= self.high - AT
         binding = np.isfinite(here.used) & (here.used > 1 - MET)
         pull = here.pull if self.weights is None else np.zeros(len(here.x))
         n = len(here.x)
@@ -184,7 +189,7 @@ class Programme:
         planes = Planes(self.constraints, here)
         for _ in range(_ROUNDS):
             x, prices = self._solved(here, radius, elastic, planes)
-            if planes.seen(x) <= _EXACT:
+            if planes.seen(x) <= ROUNDING:
                 break
         used = np.where(planes.nominal, planes.used[-1], self._powers(here, x)[0])
         excess = np.maximum(np.where(np.isfinite(here.used), used - 1, _LOST), 0.0)
@@ -202,7 +207,7 @@ class Programme:
         whole = np.concatenate([here.x, _excess(here), [here.priced / size]])
         whole[:n] = np.clip(here.x, low, high)
         ends = np.concatenate([low, np.zeros(c), [-np.inf]]), np.concatenate([high, np.full(c + 1, np.inf)])
-        free = np.flatnonzero(ends[1] - ends[0] > _AT)
+        free = np.flatnonzero(ends[1] - ends[0] > AT)
 
         def model(v: np.ndarray, given: np.ndarray) -> Model:
             whole[free] = v
@@ -224,7 +229,7 @@ class Programme:
 
         whole[free], multipliers = minimum(model, whole[free], ends[0][free], ends[1][free])
         x = np.clip(whole[:n], low, high) if np.isfinite(whole).all() else here.x
-        x = np.where(x < self.low + _AT, self.low, np.where(x > self.high - _AT, self.high, x))
+        x = np.where(x < self.low + AT, self.low, np.where(x > self.high - AT, self.high, x))
         prices, multipliers = np.zeros(c), multipliers * size
         prices[units] = multipliers[: len(units)]
         for k, price in zip(planes.owner, multipliers[len(units) :]):

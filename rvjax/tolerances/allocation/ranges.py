@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 
 from rvjax.tolerances.allocation.constraints import FEW, Constraints
-from rvjax.tolerances.allocation.programme import AGAIN, COARSE, MET, End, Programme
+from rvjax.tolerances.allocation.programme import AGAIN, COARSE, LOOKS, MET, End, Programme
 
 WITHIN = 0.005
 """Part of the cost that a number off its best value may add."""
@@ -17,7 +17,7 @@ WITHIN = 0.005
 _OFF = 0.05  # part of its range by which a number is first held off
 _TRIALS = 4, 2  # searches for one end of a range of quick and of costly units, at most
 _CLOSE = 0.15  # of the added cost, by which the end of a range may miss it
-_LOOKS = 12, 4  # vectors of one search on quick and on costly units, at most
+_LOOKS = 4  # vectors of one search on costly units, at most
 _FINE = 1e-4  # gain that ends such a search, as a part of the cost
 
 
@@ -32,7 +32,7 @@ def ranges(constraints: Constraints, programme: Programme, end: End) -> dict[str
     decisions, costly = constraints.decisions, constraints.problem.costly
     if costly:
         constraints.sample(FEW)
-    low, high, looks = programme.low, programme.high, _LOOKS[costly]
+    low, high, looks = programme.low, programme.high, _LOOKS if costly else LOOKS
 
     def solved(start: End, k: int | None = None, at: float = 0.0) -> End:
         x = start.look.x.copy()

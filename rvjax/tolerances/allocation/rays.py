@@ -16,7 +16,7 @@ from rvjax.tolerances.allocation.look import FAILED, Look
 _INWARD, _OUTWARD = 5.0, 0.7  # reach of a ray, logarithm of the factor
 _IDLE = 0.5  # with a larger factor than this, its logarithm, a limit does not bind
 _STEP, _PART = 0.15, 0.05  # of differences, logarithm of a half-width or part of a range: several units cross
-_MOVED = 0.05, 0.1, 0.2  # parts of its way by which a limit is moved for its price, until that changes something
+_DOUBLED = 3  # times: a part by which a limit is moved for its price, until that changes something
 _FINE, _COARSE = 1e-3, 3e-3  # accuracy of a place on a ray and of a difference
 
 
@@ -52,7 +52,7 @@ class Rays:
         """
         constraints, rows = self._constraints, self._constraints.rows
         rates = np.zeros(len(rows))
-        for part in _MOVED:
+        for part in _PART * 2.0 ** np.arange(_DOUBLED):
             moves, used = part * constraints.ways, []
             for sign in (-1.0, 1.0):
                 constraints.rows = [

@@ -7,10 +7,8 @@ import numpy as np
 
 from rvjax._ground import frames
 from rvjax.population import Estimate, Population
-from rvjax.tolerances.allocation.decisions import Decisions
+from rvjax.tolerances.allocation.decisions import AT, Decisions
 from rvjax.tolerances.batch.statistics import Statistics
-
-_AT = 1e-6  # part of its range, nearer than which a number is at its bound
 
 
 @dataclasses.dataclass(frozen=True)
@@ -117,7 +115,7 @@ def bounds_active(decisions: Decisions, x: np.ndarray) -> dict[str, str | None]:
     """
     values, active = decisions.values(x), dict[str, str | None]()
     for name, item in decisions.variables.items():
-        near = _AT * (item.upper - item.lower)
+        near = AT * (item.upper - item.lower)
         at_lower, at_upper = values[name] <= item.lower + near, values[name] >= item.upper - near
         free = name in decisions.free and not item.among
         active[name] = ("lower" if at_lower else "upper" if at_upper else None) if free else None

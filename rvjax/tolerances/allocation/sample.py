@@ -16,8 +16,6 @@ from rvjax.tolerances.allocation.decisions import KEPT, Decisions
 from rvjax.tolerances.batch.checkpoint import describe
 from rvjax.tolerances.batch.memo import Memo
 
-_STATES = 4  # solutions of each part that are kept: a look solves its units in a few calls
-
 Values = dict[str, np.ndarray]
 """Numbers (n,) of units, by name of the response."""
 
@@ -80,7 +78,7 @@ class Units:
             if self._costly:
                 values, status, state = part.solve(population, z)
                 place = {column.tobytes(): k for k, column in enumerate(z.T)}
-                self._states = [*self._states[1 - _STATES * len(self.parts) :], (part, population, place, state)]
+                self._states = [*self._states[1 - KEPT * len(self.parts) :], (part, population, place, state)]
             else:
                 blocks = [np.asarray(z[:, units], jnp.result_type(float)) for units in calls(z.shape[1], BLOCK)]
                 found = [respond(part.response, population, block) for block in blocks]

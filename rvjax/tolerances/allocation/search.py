@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 
 from rvjax.response import begin_programs
-from rvjax.tolerances.allocation.certificate import Certifier
+from rvjax.tolerances.allocation.certificate import TESTS, Certifier
 from rvjax.tolerances.allocation.constraints import FEW, SPARE, Constraints
+from rvjax.tolerances.allocation.decisions import ROUNDING
 from rvjax.tolerances.allocation.grades import Grades
 from rvjax.tolerances.allocation.lists import Lists, Places
 from rvjax.tolerances.allocation.look import FAILED, Look
 from rvjax.tolerances.allocation.prices import intervals, margins_of, prices_of, value_prices
 from rvjax.tolerances.allocation.problem import QUICK, Problem
-from rvjax.tolerances.allocation.programme import AGAIN, COARSE, MET, RADIUS, STATIONARY, End, Programme
+from rvjax.tolerances.allocation.programme import AGAIN, COARSE, LOOKS, MET, RADIUS, STATIONARY, End, Programme
 from rvjax.tolerances.allocation.ranges import ranges
 from rvjax.tolerances.allocation.rays import Rays
 from rvjax.tolerances.allocation.result import Allocation, bounds_active
@@ -29,17 +30,14 @@ DEARER = 0.2
 """Part of the learned cost by which a certified one may exceed it and still be called the cheapest."""
 
 _BEYOND = 40  # units of the last sample beyond each limit that decides
-_STAGES = (4096,)  # costly units of samples between the first and the last one
+_STAGE = 4096  # costly units of the sample between the first and the last one
 _MOST = 16_384  # costly units of a sample, at most
-_TESTS = 10  # certificates of one search, at most
 _WORTH = 1e-3, 3e-3  # gain of the cost, as a part of it, for which another one of quick, of costly units is computed
 _MORE, _TIMES = 0.02, 4  # part of the cost that more certificate units must save, and how many more at most
 _CHANGED = 0.03  # logarithm of wanted rejects, by which a search along rays is repeated
-_EXACTLY = 1e-9  # excess of a limit without sampling error that is rounding
-_LOOKS = 14  # of a start on a small sample
 _RAYS = 2  # times as many units of a sample that is looked at along rays, which are not in the tails
 _RIVALS = 3  # ends of starts that are searched on
-_INWARD = (0.05, 0.2, 0.5, 0.75, 1.0)  # parts of the way to the finest half-widths, where too many units fail
+_INWARD = 4  # steps to the finest half-widths, where too many units fail; the first one is the shortest
 
 
 class Search:
@@ -65,7 +63,7 @@ class Search:
             yields: other targets of all shares, for the cost curve.
         """
         end = self._learned()
-        if end.look.excess > MET or self.constraints.missed(end.look) > _EXACTLY:
+        if end.look.excess > MET or self.constraints.missed(end.look) > ROUNDING:
             shortage = least_shortage(self, end.look.x)
             if shortage.look.excess > MET:
                 return refused(self, shortage)
@@ -101,7 +99,7 @@ class Search:
         lists = Lists(decisions)
         low, high = self.programme.low, self.programme.high = lists.relaxed(decisions.low, decisions.high)
         several = starts(decisions, start, low, high) if decisions.free or not problem.costly else [start]
-        ends = [self.run(x, RADIUS, most=_LOOKS if len(several) > 1 else None) for x in several]
+        ends = [self.run(x, RADIUS, most=LOOKS if len(several) > 1 else None) for x in several]
         self.tried = self._told(several, ends) if len(several) > 1 else []
         near = rivals(ends, len(decisions.fields), _RIVALS if not problem.costly else 2)
         *growing, last = self._counts(near[0].look) or [constraints.count]
@@ -117,7 +115,7 @@ class Search:
     def _inside(self, start: np.ndarray) -> np.ndarray:
         """The start, or finer half-widths where so many units fail that a quantile is left nowhere."""
         x, count = start, len(self.decisions.fields)
-        for part in _INWARD:
+        for part in np.linspace(0, 1, _INWARD + 1)[1:] ** 2:
             if not np.isinf(self.constraints.look(x, sloped=False).used).any():
                 break
             x = start.copy()
@@ -132,7 +130,7 @@ class Search:
                 for k, r in enumerate(self.constraints.rows) if r.share and look.used[k] > SPARE]  # fmt: skip
         wanted = 2 ** math.ceil(math.log2(_BEYOND / min(near, default=1.0)))
         last = min(max(wanted, self.problem.sample, FEW), _MOST)
-        return [*(count for count in _STAGES if count < last), last] if last > FEW else []
+        return [*([_STAGE] if last > _STAGE else []), last] if last > FEW else []
 
     def _grow(self, count: int, look: Look) -> None:
         self.constraints.spare(look)
@@ -153,7 +151,7 @@ class Search:
         end = self.programme.run(self._inside(x), radius, most=most, gain=None if self._last else COARSE)
         for _ in range(4):
             missed = constraints.missed(end.look)
-            if not _EXACTLY < missed < MET:
+            if not ROUNDING < missed < MET:
                 break
             for k, row in enumerate(constraints.rows):
                 if row.exact and end.look.used[k] - constraints.moved[k] - 1 > 0:
@@ -221,9 +219,9 @@ class Search:
         learned, best = self._before(end), None
         constraints, certifier, enough = self.constraints, self.certifier, _WORTH[self.problem.costly]
         held_at, failed_at = np.zeros(len(constraints.rows)), np.full(len(constraints.rows), np.inf)
-        for test in range(_TESTS):
+        for test in range(TESTS):
             seen = certifier.test(constraints, end.look.x)
-            held = certifier.holds(seen) and constraints.missed(end.look) <= _EXACTLY
+            held = certifier.holds(seen) and constraints.missed(end.look) <= ROUNDING
             if held and (best is None or end.look.total < best[0].look.total):
                 best = end, seen, constraints.rejects, constraints.moved
             reached = constraints.reached(end.look) if self.rays is None else constraints.rejects
@@ -286,7 +284,7 @@ class Search:
 
     def _status(self, seen: Statistics, end: End, learned: float, look: Look) -> str:
         """Status of a look: of an end, or of grades near it; a set of grades by itself is OPTIMAL if certified."""
-        exact = self.constraints.missed(look) <= _EXACTLY
+        exact = self.constraints.missed(look) <= ROUNDING
         if not (self.certifier.holds(seen) and exact):
             return "NOT_CERTIFIED"
         cost = look.cost + look.priced

@@ -6,15 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rvjax.tolerances.allocation.decisions import Decisions
+from rvjax.tolerances.allocation.decisions import AT, ROUNDING, Decisions
 from rvjax.tolerances.allocation.programme import RADIUS, End
 from rvjax.tolerances.allocation.result import Allocation
 
 if TYPE_CHECKING:
     from rvjax.tolerances.allocation.search import Search
-
-_EXACTLY = 1e-9  # excess of a limit without sampling error that is rounding
-_AT = 1e-6  # distance from a bound that is none
 
 
 def least_shortage(search: "Search", x: np.ndarray) -> End:
@@ -49,7 +46,7 @@ def refused(search: "Search", end: End) -> Allocation:
     search.certifier.run = dataclasses.replace(run, keep=True)
     seen = search.certifier.draw(search.decisions.population(look.x))
     search.certifier.run = run
-    held = search.certifier.holds(seen) and constraints.missed(look) <= _EXACTLY
+    held = search.certifier.holds(seen) and constraints.missed(look) <= ROUNDING
     total = look.cost + look.priced
     found = search.allocation(look, seen, "SUBOPTIMAL" if held else "INFEASIBLE", total)
     if held:
@@ -83,8 +80,8 @@ def _helping(search: "Search", end: End) -> tuple[str, str] | None:
     pull = (weights * (end.look.used > 1)) @ np.where(np.isfinite(end.look.jacobian), end.look.jacobian, 0.0)
     x, found = end.look.x, []
     for k, name in enumerate(search.decisions.free, first):
-        found += [(float(pull[k]), name, "lower")] if x[k] <= search.programme.low[k] + _AT else []
-        found += [(float(-pull[k]), name, "upper")] if x[k] >= search.programme.high[k] - _AT else []
+        found += [(float(pull[k]), name, "lower")] if x[k] <= search.programme.low[k] + AT else []
+        found += [(float(-pull[k]), name, "upper")] if x[k] >= search.programme.high[k] - AT else []
     best = max(found, default=(0.0, "", ""))
     return (best[1], best[2]) if best[0] > 0 else None
 

@@ -3,10 +3,7 @@
 import numpy as np
 
 from rvjax.tolerances.allocation.decisions import Decisions
-from rvjax.tolerances.allocation.programme import End
-
-MET = 0.02
-"""Excess in parts of the way to a limit, by which a small sample may err."""
+from rvjax.tolerances.allocation.programme import MET, End
 
 _STARTS = 6  # for one number; one more for each further one
 _APART = 0.05  # of the vector: nearer ends are one
@@ -45,7 +42,7 @@ def rivals(ends: list[End], first: int, most: int) -> list[End]:
         first: entry of the vectors from which on they must differ.
         most: ends, at most.
     """
-    met = [end for end in ends if end.look.excess <= MET]
+    met = [end for end in ends if end.look.excess <= 2 * MET]
     ranked = sorted(met, key=lambda end: end.look.total) or sorted(ends, key=lambda end: end.look.excess)
     found = list[End]()
     limit = ranked[0].look.total + _DEARER * abs(ranked[0].look.total)

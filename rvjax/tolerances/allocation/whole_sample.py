@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rvjax.tolerances.allocation.decisions import STEP
 from rvjax.tolerances.worst_case import Extremes, extremes
 
 if TYPE_CHECKING:
     from rvjax.tolerances.allocation.constraints import Constraints
 
 _SLOPED = 1024  # costly units behind the slope of a statistic
-_STEP = 1e-4  # of differences of a worst case, part of a range
 
 
 def statistic(constraints: "Constraints", k: int, x: np.ndarray, *, sloped: bool) -> tuple[float, np.ndarray]:
@@ -71,7 +71,7 @@ def worst_case(constraints: "Constraints", k: int, x: np.ndarray) -> tuple[float
     found[:count] = by_width[[active.index(name) for name in decisions.fields]]
     for j in range(count, len(x)):
         there = x.copy()
-        there[j] += _STEP if x[j] + _STEP <= decisions.high[j] else -_STEP
+        there[j] += STEP if x[j] + STEP <= decisions.high[j] else -STEP
         found[j] = (item.learned(both(decisions.population(there)).values, way) - margin) / (there[j] - x[j])
     return 1 + margin / way, found / way
 

@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rvjax.tolerances.allocation.programme import MET, End
+from rvjax.tolerances.allocation.problem import KEPT
+from rvjax.tolerances.allocation.programme import COARSE, LOOKS, MET, End
 from rvjax.tolerances.batch.statistics import Statistics
 
 if TYPE_CHECKING:
     from rvjax.tolerances.allocation.search import Search
 
 _FEW = 2048  # costly units of a sample, at most
-_FRESH = 65_536, 4096  # quick and costly units behind a yield, at most
-_LOOKS, _GAIN = 12, 5e-3  # of one search, at most; the gain that ends it: a plot shows no less
+_FRESH = 4096  # costly units behind a yield, at most; of quick ones as many as are kept
 
 
 def costs_of_yields(search: "Search", end: End, yields: Sequence[float]) -> list[tuple[float, float]]:
@@ -39,11 +39,11 @@ def costs_of_yields(search: "Search", end: End, yields: Sequence[float]) -> list
                 1 - target if row.share and row.item else old for row, old in zip(constraints.rows, constraints.rejects)
             ]
             constraints.rejects = np.array(moved)
-            there = search.programme.run(x, most=_LOOKS, gain=_GAIN)
+            there = search.programme.run(x, most=LOOKS, gain=COARSE)
             if there.look.excess > 2 * MET:
                 continue
             x = there.look.x
-            samples = min(certifier.run.samples, _FRESH[problem.costly])
+            samples = min(certifier.run.samples, _FRESH if problem.costly else KEPT)
             fresh = dataclasses.replace(
                 certifier.run, population=search.decisions.population(x), samples=samples, keep=False
             )
