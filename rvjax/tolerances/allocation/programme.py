@@ -19,7 +19,7 @@ from rvjax.tolerances.allocation.interior import Model, minimum
 from rvjax.tolerances.allocation.look import Look
 from rvjax.tolerances.allocation.planes import Planes
 
-GAIN = 1e-5, 5e-4
+GAIN = 1e-5, 2e-4
 """Promised gain, as a part of the cost, below which a search on quick and on costly units ends."""
 
 LOOKS = 12
@@ -168,8 +168,8 @@ class Programme:
         savings = float(np.abs(here.slopes).sum() + np.abs(here.priced_slopes + here.loss_slopes).sum())
         savings = max(savings, MET * abs(here.total), 1e-300)
         sure = np.maximum(np.abs(left) - 2 * np.sqrt(prices**2 @ here.errors**2), 0.0)
-        parts = (float(np.abs(own).max(initial=0.0)) / savings for own in (left, left[: self._first], sure))
-        return End(here, prices, at_low, at_high, *parts, settled)
+        whole, widths, certain = (np.abs(own).max(initial=0.0) / savings for own in (left, left[: self._first], sure))
+        return End(here, prices, at_low, at_high, float(whole), float(widths), float(certain), settled)
 
     def prices(self, here: Look, radius: float) -> np.ndarray:
         """Prices (c,) of used ways in the model around a look.

@@ -30,7 +30,7 @@ DEARER = 0.2
 """Part of the learned cost by which a certified one may exceed it and still be called the cheapest."""
 
 _BEYOND = 40  # units of the last sample beyond each limit that decides
-_STAGE = 4096  # costly units of the sample between the first and the last one
+_STAGES = 2048, 4096  # costly units of samples between the first and the last one
 _MOST = 16_384  # costly units of a sample, at most
 _WORTH = 1e-3, 3e-3  # gain of the cost, as a part of it, for which another one of quick, of costly units is computed
 _MORE, _TIMES = 0.02, 4  # part of the cost that more certificate units must save, and how many more at most
@@ -130,7 +130,7 @@ class Search:
                 for k, r in enumerate(self.constraints.rows) if r.share and look.used[k] > SPARE]  # fmt: skip
         wanted = 2 ** math.ceil(math.log2(_BEYOND / min(near, default=1.0)))
         last = min(max(wanted, self.problem.sample, FEW), _MOST)
-        return [*([_STAGE] if last > _STAGE else []), last] if last > FEW else []
+        return [*(count for count in _STAGES if count < last), last] if last > FEW else []
 
     def _grow(self, count: int, look: Look) -> None:
         self.constraints.spare(look)
