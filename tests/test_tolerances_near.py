@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from test_tolerances_constraints import X, constraints
 
-from rvjax.response import Outcome
+from rvjax.response import Outcome, Part
 from rvjax.status import Status
 from rvjax.tolerances import Requirement
 
@@ -95,3 +95,26 @@ def test_a_unit_that_fails_in_one_part_fails_in_all(shift):
     found, due = made._tails(x), oracle._tails(x)
     assert np.isnan(due["y"]).sum() > 10 and (np.isnan(found["y"]) == np.isnan(found["b"])).all()
     assert made.look(x).used == pytest.approx(oracle.look(x).used, rel=1e-12)
+
+
+def test_a_slope_takes_the_state_of_its_own_unit(monkeypatch):
+    """The state of a unit is its first random number here, in proportion to its error a."""
+    seen, solve, pull = [], Part.solve, Part.slopes_of_elements
+
+    def solved(self, population, z):
+        values, status, _ = solve(self, population, z)
+        return values, status, z[:1]
+
+    def pulled(self, population, errors, state, cotangents):
+        seen.append((errors[0], state[0]))
+        return pull(self, population, errors, self.of_elements(population, errors)[2], cotangents)
+
+    monkeypatch.setattr(Part, "solve", solved)
+    monkeypatch.setattr(Part, "slopes_of_elements", pulled)
+    made = constraints({"y": ONE}, costly=True, samples=UNITS)
+    made.look(X)
+    made.look(X + 0.01 * WAY)
+    for k, (errors, state) in enumerate(seen):
+        width = 0.3 * np.exp(0.01 * k * WAY[0])
+        np.testing.assert_allclose(errors, width / 3 * state, rtol=1e-9)
+    assert len(seen) == 2

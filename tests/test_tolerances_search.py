@@ -62,6 +62,29 @@ def test_certificates_are_of_one_sample_that_no_search_has_seen(monkeypatch):
     assert len(seeds) > 1 and len(set(seeds)) == 1 and seeds[0][0] == found.certificate.seed == 6
 
 
+def test_after_a_miss_the_wanted_rejects_are_those_of_the_result(monkeypatch):
+    """Grades and prices go on from them; a looser vector is tried, and misses."""
+    seen, ends, test, certified = [], [], Certifier.test, search.Search._certified
+
+    def tested(self, constraints, x):
+        seen.append((x, constraints.rejects))
+        return test(self, constraints, x)
+
+    def end(self, given):
+        ends.append((self.constraints, *certified(self, given)))
+        return ends[-1][1:]
+
+    monkeypatch.setattr(Certifier, "test", tested)
+    monkeypatch.setattr(Certifier, "holds", lambda self, statistics: len(seen) == 1)
+    looser = lambda self, constraints, *_: (1.2 * constraints.rejects, constraints.moved)  # noqa: E731
+    monkeypatch.setattr(Certifier, "corrected", looser)
+    monkeypatch.setattr(search.Search, "_certified", end)
+    solved()
+    (constraints, _, best), (x, rejects) = ends[0], seen[0]
+    assert len(seen) > 1 and (best.look.x == x).all()
+    assert (constraints.rejects == rejects).all() and (seen[-1][1] != rejects).any()
+
+
 def test_more_certificate_units_are_drawn_where_they_save_more_than_they_cost():
     """1000 units want a share of 99.7 %, which costs 15 %; each doubling saves a third of it. 50,000 are enough."""
     few, many = (solved(certificate_samples=count) for count in (1000, 50_000))

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from codesign_cases import one_start
+from test_tolerances_constraints import X, constraints
 
 from oracles.linear_pair import COSTS, LIMIT, PAIR, closed_cost, linear, share
 from oracles.responses import Lever
@@ -152,6 +153,31 @@ def test_a_certificate_that_does_not_hold(monkeypatch):
         sized = {name: item.replace(size=0.025) for name, item in PAIR.items()}
         found = allocate(linear, sized, BOTH, **options, **FEW)
         assert found.status == "NOT_CERTIFIED" and (found.graded is None or found.graded.status == "NOT_CERTIFIED")
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("start", [0.0, 0.5, 1.19])
+def test_an_output_that_fails_beyond_its_limit(start):
+    """sqrt(1.2 - d) has no value beyond d = 1.2, and at its limit d = 1.19: the cheapest, where d costs 3 (2 - d)."""
+    found = allocate(
+        lambda e, v: {"y": e["a"] + 0.0 * v["d"], "room": jnp.sqrt(1.2 - v["d"])}, {"a": Tolerance.symmetric(1.0)},
+        {"y": Requirement(lower=-1.0, upper=1.0, target=0.99), "room": Nominal(lower=0.1)}, costs={"a": COST},
+        variables={"d": Variable(0.0, 2.0, start, cost=lambda d: 3 * (2 - d))}, samples=4096, certificate_samples=UNITS,
+    )  # fmt: skip
+    assert found.status == "OPTIMAL" and found.values["d"] == pytest.approx(1.19, abs=1e-6)
+    assert found.multipliers["room"] == pytest.approx(-0.6, rel=1e-3)  # d = 1.2 - limit^2
+
+
+def test_a_residual_within_two_standard_errors_is_no_certain_one():
+    """Slopes with the error e: the price of the limit times 2 e is taken off."""
+    made = constraints(dict(y=Requirement(lower=-0.29, upper=0.45, target=0.99)), costly=True, samples=1024)
+    search, look = programme.Programme(made, made.look), made.look(X)
+    look = dataclasses.replace(look, used=np.ones(1))
+    exact, rough = (search.end(dataclasses.replace(look, errors=np.full((1, len(X)), e))) for e in (0.0, 0.01))
+    savings = np.abs(look.slopes).sum() + np.abs(look.priced_slopes + look.loss_slopes).sum()
+    assert exact.certain == exact.residual == rough.residual > 0.05
+    due = exact.residual - 2 * 0.01 * exact.prices[0] / savings
+    assert 0 < due < exact.residual and rough.certain == pytest.approx(due, rel=1e-9)
 
 
 @pytest.mark.parametrize("among", [[], (), np.array([])])
