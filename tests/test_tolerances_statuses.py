@@ -168,6 +168,18 @@ def test_an_output_that_fails_beyond_its_limit(start):
     assert found.multipliers["room"] == pytest.approx(-0.6, rel=1e-3)  # d = 1.2 - limit^2
 
 
+@pytest.mark.filterwarnings("error")
+def test_an_output_that_fails_before_its_limit_leads_to_no_false_optimum():
+    """No limit names the end of the values, at 1.2: a cheaper d is always left. The search still comes near it."""
+    found = allocate(
+        lambda e, v: {"y": e["a"] + 0.0 * v["d"], "room": jnp.where(v["d"] > 1.2, jnp.nan, 1.4 - v["d"])},
+        {"a": Tolerance.symmetric(1.0)},
+        {"y": Requirement(lower=-1.0, upper=1.0, target=0.99), "room": Nominal(lower=0.1)}, costs={"a": COST},
+        variables={"d": Variable(0.0, 2.0, 0.5, cost=lambda d: 3 * (2 - d))}, samples=4096, certificate_samples=UNITS,
+    )  # fmt: skip
+    assert found.values["d"] > 1.199 and found.status in ("NOT_CERTIFIED", "MAX_STEPS")
+
+
 def test_a_residual_within_two_standard_errors_is_no_certain_one():
     """Slopes with the error e: the price of the limit times 2 e is taken off."""
     made = constraints(dict(y=Requirement(lower=-0.29, upper=0.45, target=0.99)), costly=True, samples=1024)
