@@ -15,7 +15,7 @@ from oracles.linear_pair import COSTS, LIMIT, PAIR, WIDE, linear
 from rvjax._ground.files import PARTIAL, write_atomically
 from rvjax.status import Status
 from rvjax.study import StudyError
-from rvjax.study.read import EMBEDDED, parse_study
+from rvjax.study.reader import EMBEDDED, parse_study
 from rvjax.tolerances import (
     CpkAtLeast,
     MeanWithin,

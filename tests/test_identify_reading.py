@@ -13,7 +13,7 @@ from rvjax.published.rv160 import ENCODER, READ
 from rvjax.published.rv160_reducer import NONE
 from rvjax.status import at_once
 from rvjax.study import bench
-from rvjax.study.nuisances import NUISANCES, nuisance, part_orders
+from rvjax.study.identification import NUISANCES, nuisance, part_orders
 from rvjax.tolerances import Tolerance
 from rvjax.units import arcsec, um
 

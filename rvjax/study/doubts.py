@@ -15,7 +15,7 @@ from rvjax.errors import described
 from rvjax.outputs import Output
 from rvjax.records import Design, PyTree
 from rvjax.study.kinds import kind_of, number_at
-from rvjax.study.toleranced import Form, stated_by
+from rvjax.study.tolerances import Form, stated_by
 from rvjax.study.values import Metadata
 from rvjax.tolerances import Cost, Limits, Middle, Tolerance
 from rvjax.units import with_unit
