@@ -146,7 +146,7 @@ def test_the_top_level_holds_what_belongs_there():
         pytest.skip("no checkout")
     known = {".ci", ".github", ".gitignore", ".pre-commit-config.yaml", "CHANGELOG.md", "CITATION.cff"}
     known |= {"CONTRIBUTING.md", "LICENSE", "README.md", "pyproject.toml"}
-    known |= {"benchmarks", "census", "docs", "notebooks", "oracles", "rvjax", "tests"}
+    known |= {"benchmarks", "docs", "notebooks", "rvjax", "tests"}
     assert {name.split("/")[0] for name in listed.stdout.splitlines()} == known
 
 

@@ -1,4 +1,4 @@
-"""The table of mutants fits the tree, and the page shows the score of the last `python -m census.mutants`."""
+"""The table of mutants fits the tree, and the page shows the last score of `python -m benchmarks.census.mutants`."""
 
 import ast
 import functools
@@ -10,7 +10,7 @@ from pathlib import Path
 
 from _pytest.mark.expression import Expression
 
-from census import mutants
+from benchmarks.census import mutants
 
 ROOT = Path(__file__).parents[1]
 
@@ -112,7 +112,7 @@ def test_every_package_has_its_mutants():
 
 def test_the_page_shows_the_last_score():
     """Of the mutants that the run reached; a survivor has its reason in the table."""
-    kept = json.loads((ROOT / "census" / "mutants.json").read_text("utf-8"))
+    kept = json.loads((ROOT / "benchmarks" / "census" / "mutants.json").read_text("utf-8"))
     page = (ROOT / "docs" / "stability.md").read_text("utf-8")
     of_group = [m.group for m in mutants.table()]
     assert set(kept["groups"]) <= set(of_group)

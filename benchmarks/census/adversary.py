@@ -1,7 +1,7 @@
 """Search for inputs on which the models err most: evolution on their own errors, within the domain.
 
-    python -m census.adversary                                   all models, a few minutes each
-    python -m census.adversary --model "mesh_force hertz" --figure float32 --generations 200
+    python -m benchmarks.census.adversary                                   all models, a few minutes each
+    python -m benchmarks.census.adversary --model "mesh_force hertz" --figure float32 --generations 200
 
 From random inputs the best are kept and changed again, by steps that shrink where nothing better comes. Climbed are,
 one after the other: float32 against float64, the residual, the error that an independent computation sees, the
@@ -37,7 +37,7 @@ def main() -> None:
     np.seterr(all="ignore")
     import jax
 
-    from census.models import models
+    from benchmarks.census.models import models
 
     found = []
     for model in models():
@@ -81,8 +81,8 @@ def climb(model: Any, run: Any, name: str, rng: Any, generations: int) -> tuple[
 
 def measure(model: Any, run: Any, name: str, case: dict[str, Any], rng: Any) -> np.ndarray:
     """The figure to climb, 0 outside the domain and where a status explains it."""
-    from census.derivatives import derivatives, evaluate, flat
-    from census.one_model import GOOD
+    from benchmarks.census.derivatives import derivatives, evaluate, flat
+    from benchmarks.census.one_model import GOOD
 
     if name == "derivative":
         return np.nan_to_num(derivatives(model, run, case, rng, POPULATION)[0], posinf=1e30)

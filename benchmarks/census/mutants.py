@@ -1,7 +1,7 @@
 """Do the tests notice mistakes? Semantic mutants, one at a time, against the tests that must fail.
 
-    python -m census.mutants [--group loaded] [--only "place of the smallest"] [--processes 2]
-    python -m census.mutants --journal rows.jsonl --keep census/mutants.json
+    python -m benchmarks.census.mutants [--group loaded] [--only "place of the smallest"] [--processes 2]
+    python -m benchmarks.census.mutants --journal rows.jsonl --keep benchmarks/census/mutants.json
 
 Each mutant of `mutants.toml` is one change that a person could make by mistake: a sign, a factor, a missing term, a
 bound. It goes into a copy of the tree. The tests named in its row run, up to the first failure. Before, the same tests
@@ -35,13 +35,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import astuple, dataclass
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
-TABLE = ROOT / "census" / "mutants.toml"
+ROOT = Path(__file__).parents[2]
+TABLE = Path(__file__).with_name("mutants.toml")
 LIMIT = 300  # s of the processor for the tests of one mutant; one that hangs is noticed, too
 FIRST = ["tests.environment", "jax", "jax.export", "scipy.optimize", "scipy.stats", "matplotlib.pyplot", "pandas"]
 FIRST += ["mpmath", "pytest", "hypothesis.strategies", "jaxtyping", "execnet", "jinja2"]
 FRESH = multiprocessing.get_context("forkserver")
-COPIED = ("rvjax", "tests", "oracles", "census", "benchmarks", "docs", "notebooks", "pyproject.toml")
+COPIED = ("rvjax", "tests", "benchmarks", "docs", "notebooks", "pyproject.toml")
 
 
 Parsed = tuple[ast.Module, dict[str, list[ast.AST]]]
@@ -154,7 +154,7 @@ def session(folder: Path, tests: str, said: Path) -> None:
     with said.open("w") as file:
         for stream in (1, 2):
             os.dup2(file.fileno(), stream)
-    for name in [n for n in sys.modules if n.split(".")[0] in ("rvjax", "census", "tests", "oracles", "benchmarks")]:
+    for name in [n for n in sys.modules if n.split(".")[0] in ("rvjax", "tests", "benchmarks")]:
         del sys.modules[name]
     os.chdir(folder)
     sys.path[:] = [str(folder), *(place for place in sys.path if place and Path(place) not in (ROOT, folder))]
@@ -257,7 +257,7 @@ def outcomes(mutants: Sequence[Mutant], processes: int, trust: bool) -> Iterator
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command."""
-    parser = argparse.ArgumentParser(prog="python -m census.mutants", description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.census.mutants", description=__doc__.split("\n")[0])
     parser.add_argument("--group", help="this group alone")
     parser.add_argument("--only", help="mutants whose `breaks` holds this text")
     parser.add_argument("--keep", help="JSON file for the score")

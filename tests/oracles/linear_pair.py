@@ -7,9 +7,9 @@ import math
 
 from scipy import stats
 
-from oracles.responses import Largest, Linear
 from rvjax.tolerances import ReciprocalPower, Tolerance
 from rvjax.units import mm, um
+from tests.oracles.responses import Largest, Linear
 
 WIDE = ReciprocalPower(finest=1 * um, coarsest=500 * um)
 PAIR = {name: Tolerance.symmetric(10 * um, size=25 * mm) for name in "ab"}

@@ -6,7 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from census.cases import REAL, Case, Model, decades, deviations, moderate, nonfinite
+from benchmarks.census.cases import REAL, Case, Model, decades, deviations, moderate, nonfinite
 from rvjax import LinkDeviations, four_bar
 from rvjax.status import Status
 

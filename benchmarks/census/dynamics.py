@@ -6,11 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 
 import rvjax
-from census.cases import Case, Model, decades, moderate, nonfinite, relative_step
-from oracles.dynamics import Oracle
+from benchmarks.census.cases import Case, Model, decades, moderate, nonfinite, relative_step
 from rvjax import catalogue
 from rvjax.designs import CrankStage
 from rvjax.status import Status
+from tests.oracles.dynamics import Oracle
 
 SPRINGS = ("sun_support", "sun_torsion", "planet_crank_bending", "planet_crank_torsion", "support_bearing",
            "turning_arm_bearing", "sun_planet_mesh", "disc_pin_mesh", "output_support", "output_torsion")  # fmt: skip

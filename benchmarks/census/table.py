@@ -1,11 +1,11 @@
-"""Results of a census, as tables of the page on stability (docs/stability.md) and of census/NOTES.md."""
+"""Results of a census, as tables of the page on stability (docs/stability.md) and of benchmarks/census/NOTES.md."""
 
 import json
 from pathlib import Path
 from typing import Any
 
 CENSUS = Path(__file__).parent / "census.json"
-PAGE = Path(__file__).parents[1] / "docs" / "stability.md"
+PAGE = Path(__file__).parents[2] / "docs" / "stability.md"
 NOTES = Path(__file__).parent / "NOTES.md"
 BEGIN, END = "<!-- census begins -->\n", "<!-- census ends -->\n"
 

@@ -1,4 +1,4 @@
-"""Cheapest grades against every combination of them: `python -m census.grades [--problems 60]`.
+"""Cheapest grades against every combination of them: `python -m benchmarks.census.grades [--problems 60]`.
 
 Random problems of 3 to 5 fields with 3 or 4 grades each and tables of costs, for a linear response and for one that is
 mildly curved. Combinations are evaluated from the cheapest on. A result costs too much if it costs more than the
@@ -113,7 +113,7 @@ def bounds(given: Problem, drawn: np.ndarray, units: int = UNITS) -> tuple[float
 
 def main() -> None:
     """Run the census."""
-    parser = argparse.ArgumentParser(prog="python -m census.grades", description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.census.grades", description=__doc__.split("\n")[0])
     parser.add_argument("--problems", type=int, default=60)
     parser.add_argument("--first", type=int, default=0)
     options = parser.parse_args()

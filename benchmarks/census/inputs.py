@@ -1,4 +1,6 @@
-"""Mutated studies and CSV files through every command: `python -m census.inputs [--studies 300] [--files 200]`.
+"""Mutated studies and CSV files through every command.
+
+    python -m benchmarks.census.inputs [--studies 300] [--files 200]
 
 Each input is a sound file with one to three changes. In two of three they are gentle: numbers up to a factor of two
 away, other units and allowed words, tables that are left out. The others are values that no part can have, wrong types,

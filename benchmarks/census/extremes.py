@@ -1,9 +1,9 @@
 """Census of the extremes: random inputs over the domain of every model and beyond it, each checked.
 
-    python -m census.extremes --inputs 1e6          one million inputs for each group of models
-    python -m census.extremes --budget 5            what fits into five minutes
-    python -m census.extremes --model mesh_force    groups or models whose name begins so
-    python -m census.extremes --page                only write the tables of docs/stability.md and census/NOTES.md
+    python -m benchmarks.census.extremes --inputs 1e6          one million inputs for each group of models
+    python -m benchmarks.census.extremes --budget 5            what fits into five minutes
+    python -m benchmarks.census.extremes --model mesh_force    groups or models whose name begins so
+    python -m benchmarks.census.extremes --page                only write the tables of docs/stability.md, NOTES.md
 
 Result on screen and in census.json, per model: how many inputs ended with which status; silent NaN or infinity, and
 finite values where NaN is due; statuses and values against an independent computation; the largest residual;
@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 import tqdm
 
+from benchmarks.census.table import CENSUS, PAGE, stored, write_pages
 from benchmarks.timing import settings
-from census.table import CENSUS, PAGE, stored, write_pages
 
 
 def main() -> None:
@@ -45,8 +45,8 @@ def take_census(options: argparse.Namespace) -> None:
     """Run what the file does not hold yet; write it after every model."""
     settings()
     np.seterr(all="ignore")
-    from census.models import models
-    from census.one_model import census, show
+    from benchmarks.census.models import models
+    from benchmarks.census.one_model import census, show
 
     everything = list(models())
     shared = {m.group: sum(other.group == m.group for other in everything) for m in everything}

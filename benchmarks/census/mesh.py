@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import rvjax
-from census.cases import Case, Model, relative_step
+from benchmarks.census.cases import Case, Model, relative_step
 from rvjax.status import Status
 
 DESIGN = ("cam_radius", "roller_radius", "roller_length", "eccentricity", "young_modulus", "poisson_ratio", "cam_share")

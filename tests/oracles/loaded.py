@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import scipy.optimize
 
-from oracles.loaded_machine import LAST_BEND, REAL, Case, Machine, flank_curvature, read
+from tests.oracles.loaded_machine import LAST_BEND, REAL, Case, Machine, flank_curvature, read
 
 
 def newton_step(s: SimpleNamespace) -> Any:

@@ -10,12 +10,12 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from census.cases import Case, Model, decades, deviations, moderate, nonfinite
-from oracles import loaded as oracle
-from oracles.loaded_machine import ERRORS, STAGES
+from benchmarks.census.cases import Case, Model, decades, deviations, moderate, nonfinite
 from rvjax import RVErrors, RVReducer, catalogue, loaded
 from rvjax.designs import Contact
 from rvjax.status import Status
+from tests.oracles import loaded as oracle
+from tests.oracles.loaded_machine import ERRORS, STAGES
 
 LANES = 1024  # that the reference holds at once
 RATED = 7e-5  # of E L rr a pin carries at rated torque: 500 N in an RV-40E

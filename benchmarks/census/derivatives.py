@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from census.cases import Case, Model
+from benchmarks.census.cases import Case, Model
 from rvjax.status import Status
 
 WIDTHS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)  # of the step of the model

@@ -5,7 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from census.cases import REAL, Case, Model, decades, deviations, moderate, nonfinite
+from benchmarks.census.cases import REAL, Case, Model, decades, deviations, moderate, nonfinite
 from rvjax import RVErrors, RVReducer, catalogue, four_bar
 from rvjax.designs import CrankStage
 from rvjax.status import Status

@@ -1,14 +1,15 @@
 """Independent NumPy model of errors as excitation: every spring, turning rows, marched in time over one period.
 
 Nothing is averaged, expanded in orders or taken apart by symmetry: at output angle theta each spring is the relative
-motion of two material points (`oracles.dynamics`, discs turned with their eccentrics), each error a displacement of its
-material, each mesh as stiff as the teeth that it meets make it. Coordinates turn with their frames and gyroscopic terms
-are neglected, as in rvjax. Damping is proportional to mass, the one kind with equal form in time and frequency.
+motion of two material points (`tests.oracles.dynamics`, discs turned with their eccentrics), each error a displacement
+of its material, each mesh as stiff as the teeth that it meets make it. Coordinates turn with their frames and
+gyroscopic terms are neglected, as in rvjax. Damping is proportional to mass, the one kind with equal form in time and
+frequency.
 """
 
 import numpy as np
 
-from oracles.dynamics import Oracle
+from tests.oracles.dynamics import Oracle
 
 STAGES = np.array([0.5 - 3**0.5 / 6, 0.5 + 3**0.5 / 6])  # Gauss' collocation of order 4
 WEIGHTS = np.array([[0.25, 0.25 - 3**0.5 / 6], [0.25 + 3**0.5 / 6, 0.25]])

@@ -1,4 +1,4 @@
-"""Torques far below any that a bench measures: `python -m census.faint [--each 450]`.
+"""Torques far below any that a bench measures: `python -m benchmarks.census.faint [--each 450]`.
 
 Counts reducers under random torques of 1e-12 to 1e-3 N m by status, and those CONVERGED with a residual above the
 bound. A status of the loaded reducer is a promise there too: 0 are allowed.
@@ -11,8 +11,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from census.cases import Case
-from census.loaded import draw, error_shapes, run
+from benchmarks.census.cases import Case
+from benchmarks.census.loaded import draw, error_shapes, run
 from rvjax import catalogue
 from rvjax.status import Status
 

@@ -5,14 +5,14 @@ The one place where a family joins: its own module makes a `cases.Model`, a loop
 
 from collections.abc import Iterator
 
-from census.cases import Model
-from census.dynamic_error import displaced
-from census.dynamics import vibration
-from census.linkage import linkage
-from census.loaded import machine
-from census.mesh import mesh
-from census.play import play
-from census.reducer import reducer, turn
+from benchmarks.census.cases import Model
+from benchmarks.census.dynamic_error import displaced
+from benchmarks.census.dynamics import vibration
+from benchmarks.census.linkage import linkage
+from benchmarks.census.loaded import machine
+from benchmarks.census.mesh import mesh
+from benchmarks.census.play import play
+from benchmarks.census.reducer import reducer, turn
 from rvjax.lost_motion.reducer import PROFILES
 
 

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import optimize, stats
 
-from oracles.responses import Linear
 from rvjax.tolerances import Exponential, ReciprocalPower, Requirement, Tolerance, WorstCaseWithin
+from tests.oracles.responses import Linear
 
 INCH, MM = 0.0254, 1e-3
 THREE_SIGMA = 2 * stats.norm.cdf(3.0) - 1  # z = 3: limits of the chain at 3 standard deviations, as in root sum squares

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from census.cases import Case, Model, spoiled
-from census.derivatives import derivatives, evaluate, flat, poisoned
+from benchmarks.census.cases import Case, Model, spoiled
+from benchmarks.census.derivatives import derivatives, evaluate, flat, poisoned
 from rvjax.status import Status
 
 KEPT = (

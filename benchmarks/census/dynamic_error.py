@@ -1,7 +1,7 @@
 """The dynamic transmission error for the census, checked by the springs of all parts, displaced angle by angle.
 
-The reference uses no signals and orders: `oracles.dynamic_error` gives the material place of every spring at every
-angle of a turn of the output; the Fourier coefficients of the forces meet the dense equations of motion.
+The reference uses no signals and orders: `tests.oracles.dynamic_error` gives the material place of every spring at
+every angle of a turn of the output; the Fourier coefficients of the forces meet the dense equations of motion.
 """
 
 from typing import Any
@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 
 import rvjax
-from census.cases import Case, Model, decades, deviations, nonfinite, relative_step
-from census.dynamics import JUDGED, SWINGS, build_reducer, draw_reducer, ordinary, physical
-from oracles.dynamic_error import Marched
-from oracles.dynamics import Oracle
+from benchmarks.census.cases import Case, Model, decades, deviations, nonfinite, relative_step
+from benchmarks.census.dynamics import JUDGED, SWINGS, build_reducer, draw_reducer, ordinary, physical
 from rvjax import RVErrors
 from rvjax.status import Status
+from tests.oracles.dynamic_error import Marched
+from tests.oracles.dynamics import Oracle
 
 OUTPUTS, SHOWN = ("output.rotation", "sun.rotation"), [-1, 2]
 SCALE = np.array([1.0, 1e-2])  # a revolution of the sun, and of the output: where the sun is free, it takes the error

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from census.cases import REAL, Case, Model, decades, moderate, nonfinite, relative_step
+from benchmarks.census.cases import REAL, Case, Model, decades, moderate, nonfinite, relative_step
 from rvjax import RVErrors, RVReducer, lost_motion
 from rvjax.designs import CrankStage, CycloidStage, InvoluteStage
 from rvjax.errors import read_by
