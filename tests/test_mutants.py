@@ -6,6 +6,7 @@ import itertools
 import json
 import re
 import shlex
+import shutil
 from pathlib import Path
 
 from _pytest.mark.expression import Expression
@@ -87,6 +88,21 @@ def test_words_that_select_no_test_are_found():
     assert selected(f"{here} -k 'EVERY_package and not expression'") == [name]
     assert len(selected(f"{here} -k 'every_package or last_score'")) == 2
     assert selected(f"{here} -k every_packages") == selected(f"{here} -k 'every_package and score'") == []
+
+
+def test_a_row_that_selects_no_test_fails(tmp_path, monkeypatch, capsys):
+    """Of three rows of one file that passes: the second selects nothing, the third a test that is skipped."""
+    (tmp_path / "test_x.py").write_text(
+        "import pytest\n\ndef test_one():\n    pass\n\n@pytest.mark.skip\ndef test_two():\n    pass\n"
+    )
+    rows = [mutants.Mutant("a", word, "m:f", "1", "2", f"test_x.py -k {word}") for word in ("one", "three", "two")]
+    monkeypatch.setattr(mutants, "table", lambda: rows)
+    monkeypatch.setattr(mutants, "copied", lambda folder: shutil.copy(tmp_path / "test_x.py", folder))
+    monkeypatch.setattr(mutants, "verdict", lambda folder, row: mutants.run(folder, row.tests))
+    monkeypatch.setattr(mutants, "FIRST", ["pytest"])
+    assert mutants.main([]) == 1
+    outcomes = [line.split()[:2] for line in capsys.readouterr().out.splitlines() if " s  " in line]
+    assert outcomes == [["a", "passed"], ["a", "no"], ["a", "no"]]
 
 
 def test_a_mutant_changes_its_expression_and_nothing_else(tmp_path):

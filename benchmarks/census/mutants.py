@@ -34,6 +34,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import astuple, dataclass
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).parents[2]
 TABLE = Path(__file__).with_name("mutants.toml")
@@ -41,6 +42,7 @@ LIMIT = 300  # s of the processor for the tests of one mutant; one that hangs is
 FIRST = ["tests.environment", "jax", "jax.export", "scipy.optimize", "scipy.stats", "matplotlib.pyplot", "pandas"]
 FIRST += ["mpmath", "pytest", "hypothesis.strategies", "jaxtyping", "execnet", "jinja2"]
 FRESH = multiprocessing.get_context("forkserver")
+NO_TEST = "no test ran"  # what a row selects is empty, or skipped
 COPIED = ("rvjax", "tests", "benchmarks", "docs", "notebooks", "pyproject.toml")
 
 
@@ -120,6 +122,16 @@ def alike(one: object, other: object) -> bool:
     return type(one) is type(other) and one == other
 
 
+class Ran:
+    """Plugin of pytest that counts the tests that ran: a skipped test notices nothing."""
+
+    count = 0
+
+    def pytest_runtest_logreport(self, report: Any) -> None:
+        """Count the calls of tests."""
+        self.count += report.when == "call" and not report.skipped
+
+
 class Replacement(ast.NodeTransformer):
     """Puts one node in the place of another."""
 
@@ -164,14 +176,14 @@ def session(folder: Path, tests: str, said: Path) -> None:
     os.environ.pop("PYTHONPYCACHEPREFIX", None)
     import pytest
 
-    rewritten = "ignore::pytest.PytestAssertRewriteWarning"  # of hypothesis, which is imported already
-    code = pytest.main(["-n", "0", "-p", "no:cacheprovider", "-W", rewritten, "-x", *shlex.split(tests)])
+    ran, rewritten = Ran(), "ignore::pytest.PytestAssertRewriteWarning"  # of hypothesis, which is imported already
+    code = pytest.main(["-n", "0", "-p", "no:cacheprovider", "-W", rewritten, "-x", *shlex.split(tests)], [ran])
     sys.stdout.flush()
-    os._exit(code)
+    os._exit(code if code or ran.count else pytest.ExitCode.NO_TESTS_COLLECTED)
 
 
 def run(folder: Path, tests: str) -> str:
-    """ "passed", "failed", "hangs", or what kept pytest from running them."""
+    """ "passed", "failed", "hangs", `NO_TEST`, or what kept pytest from running them."""
     said = folder / "said.txt"
     process = FRESH.Process(target=session, args=(folder, tests, said))
     process.start()
@@ -183,6 +195,8 @@ def run(folder: Path, tests: str) -> str:
         return "hangs"
     if process.exitcode in (0, 1):
         return ("passed", "failed")[process.exitcode]
+    if process.exitcode == 5:
+        return NO_TEST
     return f"pytest ended with {process.exitcode}: {said.read_text('utf-8', 'replace').strip()[-300:]}"
 
 
