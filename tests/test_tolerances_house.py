@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rvjax.population.distribution import DISTRIBUTIONS, Distribution
+from rvjax.population.tolerance import DISTRIBUTIONS, Distribution
 from rvjax.records import field, record
 from rvjax.study.read import _requirements
 from rvjax.study.toleranced import parse_tolerance

@@ -1,8 +1,10 @@
-"""Vectors with a preferred direction: parts mounted by a mark, runouts turned against each other."""
+"""Errors round a circle: harmonics of known size, and vectors with a preferred direction.
+
+The pitch of teeth has larger slow harmonics; parts are mounted by a mark, runouts are turned against each other.
+"""
 
 import functools
 import math
-from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -10,14 +12,68 @@ import numpy as np
 from jax.scipy.special import log_ndtr
 from scipy import special
 
-from rvjax.population.distribution import Moments, bad, central, raw_rayleigh
-from rvjax.population.distributions.classic import Rayleigh
-from rvjax.population.distributions.table import NODES, interpolate
+from rvjax.population.distributions.classic import NODES, Normal, Rayleigh, central, interpolate, raw_rayleigh
+from rvjax.population.tolerance import Moments, Tolerance, bad
 from rvjax.records import Scalar, field, record, text
 from rvjax.roots import bisect
 
-if TYPE_CHECKING:
-    from rvjax.population.tolerance import Tolerance
+
+@record
+class Spectrum(Normal):
+    """Normal errors along the last axis of a field, closed to a circle, with harmonics of given relative size.
+
+    e_j = sum_h w_h (u_h cos(2 pi h j / n) + v_h sin(2 pi h j / n)), u and v normal, w_h in the ratios of `spectrum`
+    and such that every error has the standard deviation h/(3 cp) of the normal distribution. No direction is preferred.
+    """
+
+    name = "spectrum"
+    shifts = False
+    couples = True
+    spectrum: tuple[float, ...] = text("the relative sizes of the waves of 1, 2, .. periods in a turn")
+
+    def deviate(self, tolerance: Tolerance, z: jax.Array) -> Scalar:
+        """m + h C z/(3 cp), with the symmetric matrix of rows of length 1 that leaves those waves of white noise."""
+        axis = len(tolerance.shape) - 1
+        waves = jnp.asarray(self._filter(tolerance.shape[-1]), z.dtype)
+        along = jnp.moveaxis(jnp.tensordot(waves, z, (1, axis), precision="highest"), 0, axis)
+        return tolerance.middle + tolerance.half_width * along / (3 * tolerance.cp)
+
+    def correlation(self, tolerance: Tolerance) -> np.ndarray:
+        """C C' of the errors round one circle."""
+        waves = self._filter(tolerance.shape[-1])
+        return waves @ waves.T
+
+    def check(self, tolerance: Tolerance) -> None:
+        """An own correlation leaves no place for a batch."""
+        if tolerance.batch:
+            raise bad("batch", tolerance.batch, "must be 0 for spectrum, whose errors are correlated by it")
+
+    def check_field(self, name: str, tolerance: Tolerance) -> None:
+        """A circle resolves fewer waves than half its errors."""
+        pair = tolerance.vector or tolerance.shape[-1:] == (2,)
+        most = (tolerance.shape[-1] - 1) // 2 if tolerance.shape else 0
+        if pair or len(self.spectrum) > most:
+            raise ValueError(
+                f"{name}: spectrum of {len(self.spectrum)} waves, but a field of shape {tolerance.shape} has at most "
+                f"{0 if pair else most} round its last axis"
+            )
+
+    def _filter(self, count: int) -> np.ndarray:
+        """C (n, n): a circulant matrix whose rows have length 1."""
+        size = np.zeros(count)
+        orders = 1 + np.arange(len(self.spectrum))
+        size[orders] = size[-orders] = self.spectrum
+        row = np.fft.ifft(size / np.sqrt(np.mean(size**2))).real
+        return row[(np.arange(count)[:, None] - np.arange(count)) % count]
+
+    def _check(self) -> None:
+        try:
+            sizes = tuple(float(number) for number in self.spectrum)
+        except (TypeError, ValueError):
+            sizes = ()
+        if not (sizes and all(0 <= number < np.inf for number in sizes) and any(sizes)):
+            raise bad("spectrum", self.spectrum, "must be sizes of waves, zero or positive and not all zero")
+        object.__setattr__(self, "spectrum", sizes)
 
 
 @record
@@ -33,7 +89,7 @@ class VonMises(Rayleigh):
     concentration: float = text("the concentration k of the direction, 0 for none")
     direction: Scalar = field("rad", "preferred direction a0, from radial towards tangential", default=0.0)
 
-    def deviate(self, tolerance: "Tolerance", z: jax.Array) -> Scalar:
+    def deviate(self, tolerance: Tolerance, z: jax.Array) -> Scalar:
         """(rho cos a, rho sin a)."""
         axis = len(tolerance.shape) - 1
         first, second = (jax.lax.index_in_dim(z, k, axis, keepdims=False) for k in (0, 1))
@@ -41,7 +97,7 @@ class VonMises(Rayleigh):
         angle = self.direction + interpolate(second, *_table(self.concentration))
         return jnp.stack([size * jnp.cos(angle), size * jnp.sin(angle)], axis)
 
-    def moments(self, tolerance: "Tolerance") -> Moments:
+    def moments(self, tolerance: Tolerance) -> Moments:
         """Moments of both components, in the shape of the field."""
         powers = [1.0, *raw_rayleigh(float(tolerance.upper) / (3 * float(tolerance.cp)))]
         pairs = []
@@ -51,11 +107,11 @@ class VonMises(Rayleigh):
         first, second, third, fourth = (np.broadcast_to(np.array(both), tolerance.shape) for both in zip(*pairs))
         return first, second, third, fourth
 
-    def is_normal(self, tolerance: "Tolerance") -> bool:
+    def is_normal(self, tolerance: Tolerance) -> bool:
         """Never, for a concentration of 0 either: the numbers of a pair are mapped together."""
         return False
 
-    def coupling(self, tolerance: "Tolerance") -> float:
+    def coupling(self, tolerance: Tolerance) -> float:
         """E[rho^2 cos a sin a] - E x E y over both standard deviations."""
         first, second = (np.reshape(m, (-1, 2))[0] for m in self.moments(tolerance)[:2])
         square = raw_rayleigh(float(tolerance.upper) / (3 * float(tolerance.cp)))[1]
@@ -63,13 +119,13 @@ class VonMises(Rayleigh):
         spread = math.sqrt(second[0] * second[1])
         return shared / spread if spread else 0.0
 
-    def check(self, tolerance: "Tolerance") -> None:
+    def check(self, tolerance: Tolerance) -> None:
         """Check as for Rayleigh; the concentration must be a number."""
         super().check(tolerance)
         if not isinstance(self.concentration, (int, float)) or not 0 <= self.concentration <= 1e6:
             raise bad("concentration", self.concentration, "must be a number from 0 to 1e6")
 
-    def check_field(self, name: str, tolerance: "Tolerance") -> None:
+    def check_field(self, name: str, tolerance: Tolerance) -> None:
         """A direction belongs to a vector."""
         if not tolerance.is_vector:
             raise ValueError(f"{name}: von_mises is for vectors [radial, tangential], this field has {tolerance.shape}")
