@@ -5,8 +5,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rvjax.measured.cycle import GRID as GRID, LEAST, Read, continues, read_cycle, step_of, together, torque_width
-from rvjax.measured.local import Samples
+from rvjax.measured.cycle import (
+    GRID as GRID,
+    LEAST,
+    Read,
+    Samples,
+    continues,
+    read_cycle,
+    step_of,
+    together,
+    torque_width,
+)
 from rvjax.measured.reversals import REST, Cycle, Cycles, cycles
 from rvjax.units import arcmin
 
