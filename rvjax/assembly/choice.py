@@ -15,6 +15,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from rvjax.assembly.alternation import alternate, lagrangian, stopped
+from rvjax.assembly.costs import Costs
 from rvjax.assembly.supply import Build, Supply, assigned, copies
 
 EXACT = 20_000
@@ -232,3 +233,44 @@ def _prove(layers: Sequence[np.ndarray], supply: Supply, allowed: np.ndarray, ex
     if counts is None:
         return None
     return [tuple(map(int, combos[k])) for k in np.flatnonzero(counts) for _ in range(counts[k])]
+
+
+def chosen(
+    found: Costs,
+    supply: Supply,
+    objective: str,
+    starts: int,
+    rng: np.random.Generator,
+    exact_up_to: int = EXACT,
+) -> tuple[Build, float, float, bool]:
+    """Build, bound and objective on the draws that chose (inf if it fails), and whether it is proved."""
+    kept, fewer = supply.lean()
+    single = [slot for slot in range(len(supply.shape)) if slot not in kept]
+    if single:  # what is the same in every unit is no choice, and two slots are exact
+        lean = dataclasses.replace(
+            found,
+            mean=found.mean.squeeze(tuple(single)),
+            outside=None if found.outside is None else found.outside.squeeze(tuple(single)),
+        )
+        build, bound, reached, proved = chosen(lean, fewer, objective, starts, rng, exact_up_to)
+        full = [tuple(dict(zip(kept, unit)).get(k, 0) for k in range(len(supply.shape))) for unit in build]
+        return full, bound, reached, proved
+    failing = ~np.isfinite(found.mean)
+    finite = found.mean[~failing]
+    mean = np.where(failing, finite.max(initial=0.0), found.mean)
+    units = supply.units
+    if failing.any():
+        fewest = least_sum([failing, mean], supply, starts, rng, asked=0, exact_up_to=exact_up_to)
+        if any(failing[unit] for unit in fewest.build):
+            return fewest.build, np.inf, np.inf, fewest.exact
+    if objective == "bottleneck":
+        worst = np.where(failing, finite.max() + 1 + np.ptp(finite), found.mean)
+        choice = least_largest(worst, supply, starts, rng, exact_up_to=exact_up_to)
+        return choice.build, choice.bound, max(found.mean[unit] for unit in choice.build), choice.exact
+    if objective == "yield":
+        assert found.outside is not None
+        choice = least_sum([failing, found.outside, mean], supply, starts, rng, asked=1, exact_up_to=exact_up_to)
+        share = 1 - sum(found.outside[unit] for unit in choice.build) / units
+        return choice.build, 1 - max(choice.bound, 0.0) / units, share, choice.exact
+    choice = least_sum([failing, mean], supply, starts, rng, exact_up_to=exact_up_to)
+    return choice.build, choice.bound / units, sum(mean[unit] for unit in choice.build) / units, choice.exact

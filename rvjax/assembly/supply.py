@@ -1,9 +1,13 @@
-"""Stocks that feed the slots, and the exact assignment of two of them."""
+"""Stocks that feed the slots: the errors of their parts, the units that they allow, the exact assignment of two."""
 
 import dataclasses
+import zlib
+from collections.abc import Hashable, Mapping
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
+
+from rvjax.assembly.parts import Known
 
 Build = list[tuple[int, ...]]
 
@@ -81,3 +85,73 @@ def beyond(cost: np.ndarray, units: int) -> float:
     """Return the price of a forbidden combination, above all differences between plans."""
     finite = cost[np.isfinite(cost)]
     return float(finite.max() + (units + 1) * (np.ptp(finite) + 1e-9 * np.abs(finite).max() + 1e-300))
+
+
+def supply_of(slots: Mapping[str, Known]) -> Supply:
+    """Stocks of the slots, and the units that they allow.
+
+    Raises:
+        ValueError: not even one unit.
+    """
+    kinds = list(dict.fromkeys(id(one) for one in slots.values()))
+    group = tuple(kinds.index(id(one)) for one in slots.values())
+    pieces = tuple(one.pieces for one in slots.values())
+    units = min(int(own.sum()) // group.count(number) for own, number in zip(pieces, group))
+    if units < 1:
+        raise ValueError("kinds: must have parts for one unit")
+    return Supply(pieces, group, units)
+
+
+def draw(
+    slots: Mapping[str, Known], seed: int, purpose: int, draws: int, *, alike: bool
+) -> dict[str, list[np.ndarray]]:
+    """Errors of all parts by slot; the draws of a slot depend on its name, not on its place.
+
+    Args:
+        slots: what is known of the parts.
+        seed: of the study.
+        purpose: 0 to choose, 1 to value; draws for one never serve the other.
+        draws: their count.
+        alike: common to all parts of a slot.
+    """
+    found: dict[str, list[np.ndarray]] = {}
+    by_stock: dict[int, str] = {}
+    for slot, one in slots.items():
+        if not alike and id(one) in by_stock:
+            found[slot] = found[by_stock[id(one)]]  # the same piece in any slot
+            continue
+        by_stock.setdefault(id(one), slot)
+        rng = np.random.default_rng([seed % 2**64, purpose, zlib.crc32(slot.encode())])
+        found[slot] = one.drawn(rng, draws, alike=alike)
+    return found
+
+
+def as_they_lie(slots: Mapping[str, Known], supply: Supply) -> Build:
+    """Combine the first pieces of every stock; the first pieces of a shared stock go into the first slot."""
+    rows: list[np.ndarray] = [np.empty(0)] * len(slots)
+    for group in set(supply.group):
+        own = supply.slots(group)
+        one = list(slots.values())[own[0]]
+        place = np.argsort(one.order)  # of each part as given
+        pool = np.repeat(place, one.kind.pieces)
+        for number, slot in enumerate(own):
+            rows[slot] = pool[number : supply.units * len(own) : len(own)]
+    return [tuple(map(int, unit)) for unit in zip(*rows)]
+
+
+def in_order(build: Build, slots: Mapping[str, Known]) -> Build:
+    """Units in the order in which the parts of the first slot lie there, then those of the second."""
+    orders = [one.order for one in slots.values()]
+    return sorted(build, key=lambda unit: tuple(int(order[place]) for order, place in zip(orders, unit)))
+
+
+def left_over(slots: Mapping[str, Known], supply: Supply, place: np.ndarray) -> dict[str, tuple[Hashable, ...]]:
+    """Ids of unused pieces in the order given, each as often as there are pieces."""
+    found = {}
+    for number, (slot, one) in enumerate(slots.items()):
+        left = one.pieces.copy()
+        for other in supply.slots(supply.group[number]):
+            np.subtract.at(left, place[:, other], 1)
+        in_order = np.argsort(one.order)
+        found[slot] = tuple(one.id_of(k) for k in in_order for _ in range(left[k]))
+    return found

@@ -7,15 +7,14 @@ import jax
 import numpy as np
 
 from rvjax._jax.arguments import checked
-from rvjax.identify import fit as fits
 from rvjax.identify.elements import mapped_values
-from rvjax.identify.fit import ADEQUATE, Fit
 from rvjax.identify.gauss_newton import Mode, info_of
+from rvjax.identify.goodness_of_fit import ADEQUATE, Fit, goodness, largest, weights_of
+from rvjax.identify.identification import Model, Problem, counted, integer
 from rvjax.identify.information import Spectrum
-from rvjax.identify.noise import Noise
+from rvjax.identify.observation import Noise
 from rvjax.identify.population import Process, process
 from rvjax.identify.posterior import outcome
-from rvjax.identify.problem import Model, Problem, counted, integer
 from rvjax.identify.search import APART, FAINT, ended_near, evidence_of, follow, lower_points, peak_of
 from rvjax.identify.shared import Split, Units, joint_mode, linear_rows, triangular
 from rvjax.population import Correlation, deviate_of
@@ -195,8 +194,8 @@ def _figures(problem: Problem, split: Split, y: np.ndarray, units: Units, deviat
     elements, seen, good = problem.elements, ~np.isnan(y), units.status == Status.CONVERGED
     u = np.where(good[:, None], units.u, 0.0)
     slopes, datum = units.rows[..., :-1], units.rows[..., -1]
-    judged = fits.goodness(slopes, elements.mixing, problem.nuisance, datum, seen, problem.dof)
-    weights = fits.weights(units.residual, seen, problem.dof)
+    judged = goodness(slopes, elements.mixing, problem.nuisance, datum, seen, problem.dof)
+    weights = weights_of(units.residual, seen, problem.dof)
     middle, one, other = (
         mapped_values(elements, u + sign * deviate * np.where(good[:, None], units.u_sd, 1.0)) for sign in (0, -1, 1)
     )
@@ -219,7 +218,7 @@ def _figures(problem: Problem, split: Split, y: np.ndarray, units: Units, deviat
         lower=known(np.minimum(one, other)),
         upper=known(np.maximum(one, other)),
         weights=known(weights),
-        worst=[fits.largest(residual, names) for residual in units.residual],
+        worst=[largest(residual, names) for residual in units.residual],
         outcome=np.array(
             [str(outcome(int(s), bool(a), 1 + bool(h), True)) for s, a, h in zip(units.status, adequate, units.several)]
         ),

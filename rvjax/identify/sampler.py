@@ -19,8 +19,8 @@ from rvjax._ground import frames
 from rvjax._jax.arguments import checked
 from rvjax.identify.elements import mapped_values
 from rvjax.identify.gauss_newton import half_square, mixed
+from rvjax.identify.identification import Given, Model, Residual, counted, residuals
 from rvjax.identify.posterior import Posterior
-from rvjax.identify.problem import Given, Model, Residual, counted, residuals
 from rvjax.identify.search import FAINT
 from rvjax.population import root_key
 from rvjax.records import PyTree

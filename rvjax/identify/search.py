@@ -9,8 +9,8 @@ from scipy import special
 from rvjax._jax.batching import in_blocks
 from rvjax._jax.blocks import LINEARISED
 from rvjax.identify.gauss_newton import NEAR, Linearised, Mode, half_square, modes
+from rvjax.identify.identification import Problem, densities, parts_of
 from rvjax.identify.information import Spectrum
-from rvjax.identify.problem import Problem, densities, parts_of
 from rvjax.status import SolveInfo, Status
 
 APART = 1.0

@@ -1,4 +1,4 @@
-"""`rank_measurements`: the next measurement with the most information.
+"""Before a measurement: which elements it identifies (`identifiability`), and the best next one (`rank_measurements`).
 
 The gain of measurements about the elements of interest, I, is the expected fall of the entropy of u_I, in nats:
 (ln det C_II - ln det C'_II)/2. It is computed as the information about all numbers less that about what u_I leaves
@@ -10,18 +10,68 @@ cancel an offset that one cannot, so that choosing the best one after the other 
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
 from rvjax._jax.arguments import checked
 from rvjax._jax.blocks import SETS
-from rvjax.identify.check import slopes_at
-from rvjax.identify.noise import Noise
+from rvjax.identify.elements import mapped_values
+from rvjax.identify.identification import Model, Problem, counted, program_of
+from rvjax.identify.information import Identifiability, Spectrum, findings
+from rvjax.identify.observation import Noise
 from rvjax.identify.posterior import Posterior
-from rvjax.identify.problem import Model, Problem, counted, program_of
 from rvjax.population import Correlation
 from rvjax.records import PyTree
+
+
+@checked
+def identifiability(
+    model: Model,
+    prior: PyTree,
+    *,
+    noise: Noise,
+    at: PyTree = None,
+    nuisance: str | Iterable[str] = (),
+    correlation: Correlation = None,
+) -> Identifiability:
+    """Predict which elements a measurement identifies; needs no data.
+
+    Args:
+        model: pure function, values of the prior's structure -> observation.
+        prior: record or dict (nested ones too) with a `Tolerance`, a constant or None in each field.
+        noise: of the observation.
+        at: values at which the model is linearised, structure of the prior; None: the mid-point of the prior.
+        nuisance: names of fields or elements that are not of interest; here they count as all others.
+        correlation: {(field or element, field or element): correlation of their u}.
+
+    Raises:
+        ValueError: an argument that does not fit, or a model that is not finite there.
+    """
+    problem = Problem.of(model, prior, noise=noise, nuisance=nuisance, correlation=correlation)
+    u = np.zeros(problem.elements.count) if at is None else problem.elements.at("at", at)
+    slopes = slopes_at(problem, u)[0] / problem.sd[:, None]
+    mixing = problem.elements.mixing
+    spectrum = Spectrum.of(np.sqrt(problem.discount) * slopes @ mixing)
+    return findings(problem.elements.names, mixing, spectrum)
+
+
+def slopes_at(problem: Problem, u: np.ndarray, models: Sequence[Model] = ()) -> np.ndarray:
+    """Slopes over u (k, m, p) of models at u (p,), by default of that of the problem; the model must be finite there.
+
+    Args:
+        problem: with its noise left out.
+        u: standard numbers.
+        models: that differ in fields of their parts alone.
+
+    Raises:
+        ValueError: a model that is not finite at u.
+    """
+    observation, found = problem.evaluate(np.tile(u, (max(len(models), 1), 1)), models=models)
+    if not (np.isfinite(found).all() and np.isfinite(observation).all()):
+        values = problem.elements.structure(mapped_values(problem.elements, u[None])[0])
+        raise ValueError(f"model: its observation or its slope is not finite at {values}, in SI".replace("\n", " "))
+    return found
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Problem of an identification: model, prior, noise; and the compiled programs that evaluate it."""
+"""Model, prior and noise of an identification, and the compiled programs that evaluate them."""
 
 import dataclasses
 import math
@@ -15,8 +15,7 @@ from rvjax._jax.batching import in_blocks
 from rvjax._jax.blocks import DENSITIES, LINEARISED
 from rvjax.identify.elements import Elements, elementwise, values_of
 from rvjax.identify.gauss_newton import Linearised, half_square, mixed
-from rvjax.identify.noise import Noise
-from rvjax.identify.observation import Layout, flatten
+from rvjax.identify.observation import Layout, Noise, flatten
 from rvjax.population import Correlation, Population
 from rvjax.records import PyTree
 from rvjax.response import PROGRAMS, per_response
