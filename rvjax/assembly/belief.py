@@ -11,7 +11,7 @@ import numpy as np
 from scipy import special
 
 from rvjax._jax.arguments import checked, numbers
-from rvjax.records import PyTree, Scalar
+from rvjax.records import Scalar
 from rvjax.tolerances import Tolerance
 
 NODES = 129
@@ -58,7 +58,7 @@ class Belief:
 
 
 @checked
-def believed(value: object, sd: PyTree, tolerance: Tolerance | None) -> tuple[Scalar, Scalar]:
+def believed(value: object, sd: object, tolerance: Tolerance | None) -> tuple[Scalar, Scalar]:
     """Mean and standard deviation of an error that was measured.
 
     Of a normal population N(mu, s0^2) measured with s: g = s0^2/(s0^2 + s^2), mean mu + g (value - mu), sd

@@ -37,7 +37,7 @@ class Opening:
     curve: np.ndarray
     target: float
 
-    def opened(self, tolerances: PyTree) -> PyTree:
+    def opened(self, tolerances: object) -> PyTree:
         """Return the same structure with every half-width times the factor, as `allocate` takes it."""
         return _widen(tolerances, self.factor)
 
@@ -104,7 +104,7 @@ def opening(
 class _Virtual:
     """Virtual parts of one stock: the random numbers are sampled once."""
 
-    def __init__(self, kind: Kind, tolerances: PyTree, sets: int, seed: int, number: int) -> None:
+    def __init__(self, kind: Kind, tolerances: object, sets: int, seed: int, number: int) -> None:
         self.kind, self.tolerances = kind, getattr(tolerances, "tolerances", tolerances)
         self.structure: PyTree
         leaves, self.structure = jax.tree_util.tree_flatten_with_path(kind.parts[0].errors)
@@ -139,7 +139,7 @@ def _drawn(tolerance: Tolerance, z: jax.Array) -> jax.Array:
     return tolerance.deviate(z)
 
 
-def _widen(tolerances: PyTree, factor: float) -> PyTree:
+def _widen(tolerances: object, factor: float) -> PyTree:
     """Multiply the half-width of all tolerances of a structure by a factor."""
 
     def wider(leaf: object) -> PyTree:

@@ -73,8 +73,8 @@ class Batch:
 @checked
 def solve_many(
     model: Model,
-    prior: PyTree,
-    data: PyTree,
+    prior: object,
+    data: object,
     *,
     noise: Noise,
     shared: str | Iterable[str] = (),

@@ -80,7 +80,7 @@ class Elements:
     population: Population
 
     @classmethod
-    def of(cls, prior: PyTree, correlation: Correlation = None) -> "Elements":
+    def of(cls, prior: object, correlation: Correlation = None) -> "Elements":
         """Return the elements of a prior.
 
         Raises:
@@ -154,7 +154,7 @@ class Elements:
         }
         return self.population.fill(parts)
 
-    def vector(self, argument: str, values: PyTree) -> np.ndarray:
+    def vector(self, argument: str, values: object) -> np.ndarray:
         """Return the active elements (p,) of a structure of values.
 
         Raises:
@@ -169,12 +169,12 @@ class Elements:
                 raise ValueError(f"{argument}.{name}: must be numbers of shape {tolerance.shape}, in SI") from None
         return np.concatenate(parts)
 
-    def beside(self, argument: str, other: PyTree) -> dict[str, PyTree]:
+    def beside(self, argument: str, other: object) -> dict[str, PyTree]:
         """Leaves of `other`, a structure like the prior, by active field."""
         leaves = self._beside(argument, other)
         return {name: leaves[name] for name in self.population.active}
 
-    def _beside(self, argument: str, other: PyTree) -> dict[str, PyTree]:
+    def _beside(self, argument: str, other: object) -> dict[str, PyTree]:
         _, treedef = self.population._flat
         try:
             leaves = treedef.flatten_up_to(other)
@@ -182,7 +182,7 @@ class Elements:
             raise ValueError(f"{argument}: must have the structure of the prior, got {type(other).__name__}") from None
         return dict(zip(self.population._leaves, leaves))
 
-    def at(self, argument: str, values: PyTree) -> np.ndarray:
+    def at(self, argument: str, values: object) -> np.ndarray:
         """Find the u (p,) of values within the prior's distributions.
 
         Raises:

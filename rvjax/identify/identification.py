@@ -56,7 +56,7 @@ class Problem:
     def of(
         cls,
         model: Model,
-        prior: PyTree,
+        prior: object,
         *,
         noise: Noise,
         nuisance: str | Iterable[str] = (),

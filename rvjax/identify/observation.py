@@ -53,7 +53,7 @@ ALL = "all"
 """Name of the only group of an observation that is no dict or record."""
 
 
-def flatten(observation: PyTree) -> jax.Array:
+def flatten(observation: object) -> jax.Array:
     """All numbers of an observation as one real vector (m,); of complex ones real and imaginary part in turn."""
     parts = []
     for leaf in jax.tree.leaves(observation):
@@ -74,7 +74,7 @@ class Layout:
     complex: tuple[bool, ...]
 
     @classmethod
-    def of(cls, observation: PyTree) -> "Layout":
+    def of(cls, observation: object) -> "Layout":
         """Return the layout of an observation, or of its shapes.
 
         Raises:
@@ -119,7 +119,7 @@ class Layout:
             start += size
         return {name: np.array(places) for name, places in found.items()}
 
-    def data(self, data: PyTree, *, batched: bool = False) -> np.ndarray:
+    def data(self, data: object, *, batched: bool = False) -> np.ndarray:
         """Measured data as a vector (m,), or (units, m) where every leaf has the units on axis 0; NaN is missing.
 
         Raises:
@@ -185,7 +185,7 @@ class Layout:
         named = (jax.tree_util.keystr(path, simple=True, separator=".") for path in self.paths)
         return [name or "data" for name in named]
 
-    def _match(self, argument: str, tree: PyTree) -> Iterator[tuple[str, tuple[int, ...], bool, PyTree]]:
+    def _match(self, argument: str, tree: object) -> Iterator[tuple[str, tuple[int, ...], bool, PyTree]]:
         """Yield name, shape and kind of each leaf of the observation with the same leaf of `tree`."""
         try:
             leaves = self.treedef.flatten_up_to(tree)

@@ -22,16 +22,15 @@ from rvjax.identify.information import Identifiability, Spectrum, findings
 from rvjax.identify.observation import Noise
 from rvjax.identify.posterior import Posterior
 from rvjax.population import Correlation
-from rvjax.records import PyTree
 
 
 @checked
 def identifiability(
     model: Model,
-    prior: PyTree,
+    prior: object,
     *,
     noise: Noise,
-    at: PyTree = None,
+    at: object = None,
     nuisance: str | Iterable[str] = (),
     correlation: Correlation = None,
 ) -> Identifiability:
@@ -93,7 +92,7 @@ class Ranking:
 
 @checked
 def rank_measurements(
-    prior: PyTree,
+    prior: object,
     candidates: Mapping[str, Model],
     *,
     noise: Noise | Mapping[str, Noise],
@@ -186,7 +185,7 @@ class _Gain:
     @classmethod
     def of(
         cls,
-        prior: PyTree,
+        prior: object,
         candidates: Mapping[str, Model],
         noise: Noise | Mapping[str, Noise],
         nuisance: str | Iterable[str],

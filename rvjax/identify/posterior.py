@@ -150,7 +150,7 @@ REACH = 12.0
 """Integral over a vector's wider axis: nodes for each piece, and standard deviations to each side."""
 
 
-def limits_of(elements: Elements, limits: PyTree) -> np.ndarray:
+def limits_of(elements: Elements, limits: object) -> np.ndarray:
     """Lower and upper limits (2, p) of every element, SI.
 
     Args:

@@ -27,7 +27,6 @@ from rvjax.identify.posterior import Mode, Outcome, Posterior, broken, limits_of
 from rvjax.identify.sampler import Draws
 from rvjax.identify.search import FAINT, Peak, phi_about, phi_at, search
 from rvjax.population import Correlation, Estimate, deviate_of, wilson
-from rvjax.records import PyTree
 from rvjax.response import Response, by_response, respond, unwrapped
 from rvjax.status import SolveInfo, Status, succeeded
 from rvjax.tolerances import Limits
@@ -39,8 +38,8 @@ AGREED = 0.2
 @checked
 def solve(
     model: Model,
-    prior: PyTree,
-    data: PyTree,
+    prior: object,
+    data: object,
     *,
     noise: Noise,
     nuisance: str | Iterable[str] = (),
@@ -50,7 +49,7 @@ def solve(
     max_steps: int = 50,
     draws: int = 512,
     confidence: float = 0.95,
-    limits: PyTree = None,
+    limits: object = None,
 ) -> Posterior:
     """Identify the errors of one unit from its measurement.
 

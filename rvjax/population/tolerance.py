@@ -246,7 +246,7 @@ class Tolerance(Record):
         return cls(-half_width, half_width, **options)
 
     @classmethod
-    def grade(cls, grade: str, size: Scalar, **options: Any) -> Self:
+    def grade(cls, grade: str, size: Scalar, **options: object) -> Self:
         """Limits +-IT/2 of an ISO 286 grade.
 
         Args:
