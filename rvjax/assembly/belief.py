@@ -53,8 +53,8 @@ class Belief:
         draws = z.shape[1]
         share = special.ndtr(np.broadcast_to(z, (len(self.mean), *z.shape[1:])))
         by_element = np.moveaxis(share, 1, 0).reshape(draws, -1)
-        found = [np.interp(by_element[:, k], self.below[:, k], self.value[:, k]) for k in range(by_element.shape[1])]
-        return np.moveaxis(np.stack(found, axis=1).reshape(draws, *self.mean.shape), 0, 1)
+        columns = [np.interp(by_element[:, k], self.below[:, k], self.value[:, k]) for k in range(by_element.shape[1])]
+        return np.moveaxis(np.stack(columns, axis=1).reshape(draws, *self.mean.shape), 0, 1)
 
 
 @checked
@@ -80,8 +80,8 @@ def believed(value: object, sd: object, tolerance: Tolerance | None) -> tuple[Sc
         raise ValueError(f"value = {value!r}: must be finite")
     if not (sds >= 0).all():
         raise ValueError(f"sd = {sd!r}: must be zero or positive")
-    found = belief(values[None], np.broadcast_to(sds, values.shape)[None], tolerance)
-    mean, spread = found.mean[0], found.sd[0]
+    posterior = belief(values[None], np.broadcast_to(sds, values.shape)[None], tolerance)
+    mean, spread = posterior.mean[0], posterior.sd[0]
     return (mean, spread) if values.ndim else (float(mean), float(spread))
 
 

@@ -87,8 +87,8 @@ def opening(
     def kept(power: float | np.ndarray) -> bool:
         """Return whether plans keep the yield at this power of two as factor."""
         factor = 2.0 ** float(power)
-        found = [_yields(response, kinds, stocks, requirement, factor, number, seed) for number in range(sets)]
-        matched, random = np.mean(found, axis=0)
+        yields = [_yields(response, kinds, stocks, requirement, factor, number, seed) for number in range(sets)]
+        matched, random = np.mean(yields, axis=0)
         tried[factor] = (float(matched), float(random))
         return tried[factor][0] >= tried[1.0][1]
 
@@ -111,9 +111,9 @@ class _Virtual:
         self.given = [[np.asarray(leaf) for leaf in jax.tree.leaves(part.errors)] for part in kind.parts]
         self.sd = [[np.asarray(at_path(part.sd, path, 0.0), float) for path, _ in leaves] for part in kind.parts]
         self.moving = {
-            place: found.replace(shape=self.given[0][place].shape)
+            place: tolerance.replace(shape=self.given[0][place].shape)
             for place, (path, _) in enumerate(leaves)
-            if isinstance(found := at_path(self.tolerances, path, None), Tolerance)
+            if isinstance(tolerance := at_path(self.tolerances, path, None), Tolerance)
         }
         rng = np.random.default_rng([seed % 2**64, 4, number])
         size: Callable[[int], tuple[int, ...]] = lambda place: (sets, 2, *self.given[0][place].shape, len(kind.parts))  # noqa: E731

@@ -132,26 +132,26 @@ def plan(
     fresh = 1 if certain else max(fewest, min(certificate_draws, most_fresh // supply.units))
     draws = 1 if certain else draws
     rng, asked = np.random.default_rng([seed % 2**64, 2]), (draws, requirement, objective == "yield")
-    found: Costs | OnDemand
+    priced: Costs | OnDemand
     with best_so_far(keep_best) as unsearched:
         if too_many(machine, draws, most_valued):
-            found = OnDemand(machine, draw(slots, seed, 0, draws, alike=True), *asked, pilots)
-            build, bound, reached, proved = chosen_on_demand(found, supply, objective, starts, rng, most_valued)
+            priced = OnDemand(machine, draw(slots, seed, 0, draws, alike=True), *asked, pilots)
+            build, bound, reached, proved = chosen_on_demand(priced, supply, objective, starts, rng, most_valued)
         else:
-            found = costs(machine, draw(slots, seed, 0, draws, alike=True), *asked)
-            build, bound, reached, proved = chosen(found, supply, objective, starts, rng, exact_up_to)
-    if found.level:  # nothing to choose by: in the given order
+            priced = costs(machine, draw(slots, seed, 0, draws, alike=True), *asked)
+            build, bound, reached, proved = chosen(priced, supply, objective, starts, rng, exact_up_to)
+    if priced.level:  # nothing to choose by: in the given order
         build = as_they_lie(slots, supply)
     place = np.array(in_order(build, slots))
     drawn = draw(slots, seed, 1, fresh, alike=False)
-    values, turn = _valued(machine, found, place, drawn, fresh)
-    random, random_good = _random_assembly(machine, supply, found, drawn, requirement, seed, fresh, most_fresh)
+    values, turn = _valued(machine, priced, place, drawn, fresh)
+    random, random_good = _random_assembly(machine, supply, priced, drawn, requirement, seed, fresh, most_fresh)
     failed = np.isnan(values).any(axis=1)
     expected = np.where(failed, np.inf, values.mean(axis=1))
     share = good(values, requirement).mean(axis=0)
     worst = {"mean": expected.mean(), "bottleneck": expected.max(), "yield": share.mean()}[objective]
     infeasible, gap = not np.isfinite(reached), _gap(reached, bound, proved)
-    checks = 0 if isinstance(found, Costs) or not math.isfinite(bound) else found.checks
+    checks = 0 if isinstance(priced, Costs) or not math.isfinite(bound) else priced.checks
     return Plan(
         build=tuple({s: one.id_of(k) for (s, one), k in zip(slots.items(), unit)} for unit in place),
         index=tuple(dict(zip(slots, map(int, at))) for at in turn),
@@ -166,7 +166,7 @@ def plan(
         yield_=None if requirement is None else _share(share, confidence),
         random_yield=None if requirement is None else _share(random_good, confidence),
         failing=tuple(map(int, np.flatnonzero(failed))) if infeasible else (),
-        valued=found.count,
+        valued=priced.count,
         combinations=math.prod(machine.shape),
         unsearched=sum(unsearched),
         checks=checks,
@@ -174,10 +174,10 @@ def plan(
 
 
 def _valued(
-    machine: Machine, found: Costs | OnDemand, place: np.ndarray, drawn: Mapping[str, list[np.ndarray]], fresh: int
+    machine: Machine, priced: Costs | OnDemand, place: np.ndarray, drawn: Mapping[str, list[np.ndarray]], fresh: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Responses (units, draws) of a plan, NaN where a unit fails, and the angular positions of the parts."""
-    cost, best = found.of(place)
+    cost, best = priced.of(place)
     turn = machine.indices[best]
     if fresh == 1:  # all is known: the costs that chose are the values
         return np.where(np.isinf(cost), np.nan, cost)[:, None], turn
@@ -231,26 +231,26 @@ def _estimate(values: np.ndarray, confidence: float) -> Estimate:
 def _warn(kinds: Mapping[str, Kind]) -> None:
     """Name the furthest part of each kind that may have a wrong unit."""
     for slot, kind in {id(kind): (slot, kind) for slot, kind in kinds.items()}.values():
-        if found := outliers(kind):
-            more = f" (and {len(found) - 1} more parts)" if found[1:] else ""
-            line = found[0].text(f"{slot}: part {found[0].id!r}", f"{found[0].value:.4g}")
+        if unusual := outliers(kind):
+            more = f" (and {len(unusual) - 1} more parts)" if unusual[1:] else ""
+            line = unusual[0].text(f"{slot}: part {unusual[0].id!r}", f"{unusual[0].value:.4g}")
             warnings.warn(line + more, UnusualPart, stacklevel=4)
 
 
 def _share(values: np.ndarray, confidence: float) -> Estimate:
     """As `_estimate`; where every draw shows the same share, the score interval of so many draws."""
     values = np.where(values > 1 - 1e-12, 1.0, values)  # weights add up to less, or more, by rounding
-    found = _estimate(values, confidence)
-    if len(values) == 1 or found.lower != found.upper:  # one draw: all is known
-        return found
-    lower, upper = score_interval(found.value, len(values), deviate_of(confidence))
-    return dataclasses.replace(found, lower=lower, upper=upper)
+    estimate = _estimate(values, confidence)
+    if len(values) == 1 or estimate.lower != estimate.upper:  # one draw: all is known
+        return estimate
+    lower, upper = score_interval(estimate.value, len(values), deviate_of(confidence))
+    return dataclasses.replace(estimate, lower=lower, upper=upper)
 
 
 def _random_assembly(
     machine: Machine,
     supply: Supply,
-    found: Costs | OnDemand,
+    priced: Costs | OnDemand,
     drawn: Mapping[str, list[np.ndarray]],
     requirement: Requirement | None,
     seed: int,
@@ -262,7 +262,7 @@ def _random_assembly(
     Args:
         machine: response and parts.
         supply: stocks.
-        found: costs that chose; they are the values where all is known of the parts.
+        priced: costs that chose; they are the values where all is known of the parts.
         drawn: fresh errors of each slot.
         requirement: limits of a good unit, or None.
         seed: of the random units.
@@ -270,11 +270,11 @@ def _random_assembly(
         most_fresh: units at most over all draws: all combinations where they are no more, else a random part of them.
     """
     weight = supply.weight()
-    if fresh == 1 and isinstance(found, Costs):
-        every = np.nan_to_num(found.every_mean)
-        succeeds = weight * np.isfinite(found.every_mean)
+    if fresh == 1 and isinstance(priced, Costs):
+        every = np.nan_to_num(priced.every_mean)
+        succeeds = weight * np.isfinite(priced.every_mean)
         mean = (succeeds * every).sum() / succeeds.sum() if succeeds.any() else np.nan
-        share = np.nan if found.every_good is None else (weight * found.every_good).sum() / weight.sum()
+        share = np.nan if priced.every_good is None else (weight * priced.every_good).sum() / weight.sum()
         return np.array([mean]), np.array([share])
     cells, turns = np.argwhere(weight > 0), len(machine.indices)
     likely = weight[weight > 0] / weight.sum()

@@ -43,12 +43,12 @@ class Supply:
     def weight(self) -> np.ndarray:
         """Frequency of each combination in random assembly, up to a factor: pieces of its parts (parts, ...)."""
         places = np.meshgrid(*map(np.arange, self.shape), indexing="ij", sparse=True)
-        found = np.ones(self.shape)
+        weight = np.ones(self.shape)
         for slot, pieces in enumerate(self.pieces):
             before = [other for other in self.slots(self.group[slot]) if other < slot]
             left = pieces[places[slot]] - sum((places[slot] == places[other]).astype(int) for other in before)
-            found = found * np.maximum(left, 0)
-        return found
+            weight = weight * np.maximum(left, 0)
+        return weight
 
     def lean(self) -> tuple[list[int], "Supply"]:
         """Slots with a choice of parts, two at least, and the stocks of these."""
@@ -114,16 +114,16 @@ def draw(
         draws: their count.
         alike: common to all parts of a slot.
     """
-    found: dict[str, list[np.ndarray]] = {}
+    errors: dict[str, list[np.ndarray]] = {}
     by_stock: dict[int, str] = {}
     for slot, one in slots.items():
         if not alike and id(one) in by_stock:
-            found[slot] = found[by_stock[id(one)]]  # the same piece in any slot
+            errors[slot] = errors[by_stock[id(one)]]  # the same piece in any slot
             continue
         by_stock.setdefault(id(one), slot)
         rng = np.random.default_rng([seed % 2**64, purpose, zlib.crc32(slot.encode())])
-        found[slot] = one.drawn(rng, draws, alike=alike)
-    return found
+        errors[slot] = one.drawn(rng, draws, alike=alike)
+    return errors
 
 
 def as_they_lie(slots: Mapping[str, Known], supply: Supply) -> Build:
@@ -147,11 +147,11 @@ def in_order(build: Build, slots: Mapping[str, Known]) -> Build:
 
 def left_over(slots: Mapping[str, Known], supply: Supply, place: np.ndarray) -> dict[str, tuple[Hashable, ...]]:
     """Ids of unused pieces in the order given, each as often as there are pieces."""
-    found = {}
+    ids = {}
     for number, (slot, one) in enumerate(slots.items()):
         left = one.pieces.copy()
         for other in supply.slots(supply.group[number]):
             np.subtract.at(left, place[:, other], 1)
         in_order = np.argsort(one.order)
-        found[slot] = tuple(one.id_of(k) for k in in_order for _ in range(left[k]))
-    return found
+        ids[slot] = tuple(one.id_of(k) for k in in_order for _ in range(left[k]))
+    return ids

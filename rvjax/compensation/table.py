@@ -134,15 +134,15 @@ def schedule(corrections: Mapping[tuple[float, Hashable], Correction]) -> Schedu
     """
     if not corrections:
         raise ValueError("corrections: must hold at least one")
-    for key, found in corrections.items():
-        if not isinstance(found, Correction):
-            raise ValueError(f"corrections: {key!r} = {found!r}: must be a Correction")
-    ratios = {found.ratio for found in corrections.values()}
+    for key, correction in corrections.items():
+        if not isinstance(correction, Correction):
+            raise ValueError(f"corrections: {key!r} = {correction!r}: must be a Correction")
+    ratios = {correction.ratio for correction in corrections.values()}
     if len(ratios) > 1:
         raise ValueError(f"ratio: corrections must have one ratio, not {', '.join(f'{r:g}' for r in sorted(ratios))}")
     by_direction: dict[Hashable, list[tuple[float, Correction]]] = {}
-    for (torque, direction), found in corrections.items():
+    for (torque, direction), correction in corrections.items():
         if not math.isfinite(torque):
             raise ValueError(f"torque = {torque!r} N m: must be finite")
-        by_direction.setdefault(direction, []).append((float(torque), found))
+        by_direction.setdefault(direction, []).append((float(torque), correction))
     return Schedule({direction: tuple(sorted(all_, key=lambda x: x[0])) for direction, all_ in by_direction.items()})

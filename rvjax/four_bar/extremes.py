@@ -196,7 +196,7 @@ def most_misfit(unit: Unit, angles: int) -> jax.Array:
 
 
 _Apart = tuple[jax.Array, tuple[jax.Array, jax.Array], jax.Array]
-"""Crank radius, what stands still and what moves of the distance of the pins, excess of the bores."""
+"""Crank radius, fixed and moving part of the distance of the pins, excess of the bores."""
 
 
 def _of_two(unit: Unit, k: int, angles: int) -> tuple[jax.Array, jax.Array]:

@@ -119,12 +119,12 @@ def solve_many(
     rows = [slice(start, start + together) for start in range(0, len(y), together)]
     if split.shared.size:
         joint = joint_mode(problem, split, y, points, max_steps, rows)
-        found = (joint.units(part) for part in rows)
+        by_chunk = (joint.units(part) for part in rows)
         shared_u, shared_sd = joint.shared_u, joint.shared_sd
     else:
-        found = (_separate(problem, y[part], points, max_steps, together) for part in rows)
+        by_chunk = (_separate(problem, y[part], points, max_steps, together) for part in rows)
         shared_u = shared_sd = np.zeros(0)
-    parts = [_figures(problem, split, y[part], units, deviate) for part, units in zip(rows, found)]
+    parts = [_figures(problem, split, y[part], units, deviate) for part, units in zip(rows, by_chunk)]
     whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0] if name != "worst"}
     elements = problem.elements
     return Batch(
@@ -152,8 +152,8 @@ def _separate(problem: Problem, y: np.ndarray, points: np.ndarray, max_steps: in
     """Modes of largest weight of separate units y (k, m); one program for any number of units in the last chunk."""
     starts = len(points)
     at = np.tile(points, (len(y), 1))
-    found = follow(problem, np.repeat(y, starts, axis=0), at, max_steps, together=together * starts)
-    lanes = jax.tree.map(lambda leaf: leaf.reshape(len(y), starts, *leaf.shape[1:]), found)
+    ends = follow(problem, np.repeat(y, starts, axis=0), at, max_steps, together=together * starts)
+    lanes = jax.tree.map(lambda leaf: leaf.reshape(len(y), starts, *leaf.shape[1:]), ends)
     _accept_kinks(problem, y, lanes)
     good = lanes.info.status == Status.CONVERGED
     z = np.where(good[..., None], lanes.z, 0.0)

@@ -94,10 +94,10 @@ class Elements:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Name of each element, "field[i,j]"; scalars bare, nested fields dotted."""
-        found = []
+        names = []
         for field, tolerance in self.population.active.items():
-            found += elements(field, tolerance.shape)
-        return tuple(found)
+            names += elements(field, tolerance.shape)
+        return tuple(names)
 
     @cached_property
     def fields(self) -> tuple[str, ...]:
@@ -132,15 +132,15 @@ class Elements:
         Raises:
             ValueError: a name that is none of them.
         """
-        found: set[int] = set()
+        chosen: set[int] = set()
         for name in [given] if isinstance(given, str) else given:
             inside = (f"{name}[", f"{name}.")
             places = [i for i, own in enumerate(self.names) if own == name or own.startswith(inside)]
             if not places:
                 known = ", ".join(self.population.active)
                 raise ValueError(f"{argument} = {name!r}: no field of the prior with a Tolerance; these have: {known}")
-            found.update(places)
-        return np.array(sorted(found), int)
+            chosen.update(places)
+        return np.array(sorted(chosen), int)
 
     def structure(self, values: np.ndarray) -> PyTree:
         """Return the structure of the prior with values (..., p): arrays (..., *shape), one number as a float."""
@@ -194,10 +194,10 @@ class Elements:
             if tolerance.law.couples:
                 raise ValueError(f"{argument}.{name}: {tolerance.distribution} vectors cannot be placed")
         u = np.asarray(standard(self.population, jnp.asarray(wanted[None])))[0]
-        found = mapped_values(self, u[None])[0]
+        back = mapped_values(self, u[None])[0]
         widths = np.asarray([float(self.population.active[field].half_width) for field in self.fields])
         constant = widths == 0
-        off = np.abs(found - wanted) > 1e-6 * np.maximum(widths, 1e-9 * np.abs(wanted))
+        off = np.abs(back - wanted) > 1e-6 * np.maximum(widths, 1e-9 * np.abs(wanted))
         if off.any():
             worst = int(np.argmax(off))
             raise ValueError(f"{argument}.{self.names[worst]} = {wanted[worst]:.6g}: outside its distribution, in SI")

@@ -159,7 +159,7 @@ def _simulated_chances(components: Components, model: np.ndarray, prior: np.ndar
     rng = np.random.default_rng(0)
     noise = rng.standard_t(dof, (count, components.left.shape[-2]))
     parts = rng.standard_normal((count, components.eigenvalues.shape[-1]))
-    found = np.empty((3, *lead))
+    chances = np.empty((3, *lead))
     for unit in np.ndindex(lead):
         one = Components(*(getattr(components, f.name)[unit] for f in dataclasses.fields(components)))
         sums = one.simulated(noise, parts)
@@ -167,8 +167,8 @@ def _simulated_chances(components: Components, model: np.ndarray, prior: np.ndar
             [(sums[0], model[unit]), (sums[1], prior[unit]), (sums[0] + sums[1], model[unit] + prior[unit])]
         ):
             # A sum without components is 0 in every draw, and so its own: p = 1.
-            found[(k, *unit)] = (1 + np.sum(simulated >= own)) / (1 + count)
-    return found
+            chances[(k, *unit)] = (1 + np.sum(simulated >= own)) / (1 + count)
+    return chances
 
 
 def largest(residual: np.ndarray, names: list[str]) -> tuple[str, ...]:

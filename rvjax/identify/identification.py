@@ -114,17 +114,17 @@ class Problem:
             fields = dict(zip(names, columns))
             return linearise(split[0][0], self.elements.population, fields, x, plain, size=self.layout.size)
 
-        found = in_blocks(block, together, np.asarray(x, float)[rows], np.full(len(rows), plain), *columns)
+        results = in_blocks(block, together, np.asarray(x, float)[rows], np.full(len(rows), plain), *columns)
         first = np.flatnonzero(np.diff(rows, prepend=-1))
         count = np.diff(np.append(first, len(rows)))
-        observation, slopes = (np.add.reduceat(np.asarray(item, float), first) for item in found)
+        observation, slopes = (np.add.reduceat(np.asarray(item, float), first) for item in results)
         return observation / count[:, None], slopes / count[:, None, None]
 
     def whitened(self, observation: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (f - y)/sd (..., m), 0 where y is NaN, and the norm of what is subtracted (...,)."""
         seen = ~np.isnan(y)
-        found, given = (np.where(seen, item, 0.0) / self.sd for item in (observation, y))
-        return found - given, np.linalg.norm(np.abs(found) + np.abs(given), axis=-1)
+        values, given = (np.where(seen, item, 0.0) / self.sd for item in (observation, y))
+        return values - given, np.linalg.norm(np.abs(values) + np.abs(given), axis=-1)
 
     def linearise(self, y: np.ndarray, u: np.ndarray, **options: Any) -> Linearised:
         """Residuals (k, m), their slopes over u (k, m, p), observations (k, m) and the size of the numbers behind.
@@ -162,8 +162,8 @@ def _layout(model: Model, elements: Elements) -> Layout:
 def residuals(model: Model, given: Given, y: jax.Array, u: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
     """Whitened residuals (f - y)/sd (m,), 0 where y is NaN; the observation f, and the norm of what is subtracted."""
     seen, observation = ~jnp.isnan(y), flatten(model(values_of(given.population, u))).astype(y.dtype)
-    found, y = (jnp.where(seen, item, 0) / given.sd for item in (observation, y))
-    return found - y, (observation, jnp.linalg.norm(jnp.abs(found) + jnp.abs(y)))
+    values, y = (jnp.where(seen, item, 0) / given.sd for item in (observation, y))
+    return values - y, (observation, jnp.linalg.norm(jnp.abs(values) + jnp.abs(y)))
 
 
 Residual = Callable[[jax.Array], tuple[jax.Array, PyTree]]  # value, and what else it gives

@@ -100,24 +100,24 @@ class Layout:
     @property
     def names(self) -> list[str]:
         """A name for each real number, such as "te[3].imag"."""
-        found = []
+        names = []
         for name, shape, pairs in zip(self._leaf_names(), self.shapes, self.complex):
             for index in np.ndindex(shape):
                 place = name + (f"[{','.join(map(str, index))}]" if shape else "")
-                found += [f"{place}.real", f"{place}.imag"] if pairs else [place]
-        return found
+                names += [f"{place}.real", f"{place}.imag"] if pairs else [place]
+        return names
 
     @property
     def groups(self) -> dict[str, np.ndarray]:
         """Places of each group (a key of a dict or record observation, else "all")."""
-        found: dict[str, list[int]] = {}
+        rows: dict[str, list[int]] = {}
         start = 0
         for path, size in zip(self.paths, self.sizes):
             named = path and isinstance(path[0], (jax.tree_util.DictKey, jax.tree_util.GetAttrKey))
             name = jax.tree_util.keystr(path[:1], simple=True) if named else ALL
-            found.setdefault(name, []).extend(range(start, start + size))
+            rows.setdefault(name, []).extend(range(start, start + size))
             start += size
-        return {name: np.array(places) for name, places in found.items()}
+        return {name: np.array(places) for name, places in rows.items()}
 
     def data(self, data: object, *, batched: bool = False) -> np.ndarray:
         """Measured data as a vector (m,), or (units, m) where every leaf has the units on axis 0; NaN is missing.
@@ -272,15 +272,15 @@ def orders(
     left, singular, right = svd(matrix)
     if x.size <= numbers or singular[-1] < DEPENDENT * singular[0]:
         raise ValueError(f"orders = {wanted.tolist()}: {x.size} samples cannot determine {numbers} numbers per turn")
-    found = right.T @ ((left.T @ y) / singular)
-    residual_sd = float(np.sqrt(((y - matrix @ found) ** 2).sum() / (x.size - numbers)))
+    coefficients = right.T @ ((left.T @ y) / singular)
+    residual_sd = float(np.sqrt(((y - matrix @ coefficients) ** 2).sum() / (x.size - numbers)))
     variance = ((right.T / singular) ** 2).sum(axis=1)
     first = 1 + len(extra)
     real, imaginary = slice(first, first + wanted.size), slice(first + wanted.size, None)
     return Orders(
         order=wanted,
-        value=found[real] + 1j * found[imaginary],
+        value=coefficients[real] + 1j * coefficients[imaginary],
         sd=residual_sd * np.sqrt((variance[real] + variance[imaginary]) / 2),
-        mean=float(found[0]),
+        mean=float(coefficients[0]),
         residual_sd=residual_sd,
     )

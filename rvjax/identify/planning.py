@@ -66,11 +66,11 @@ def slopes_at(problem: Problem, u: np.ndarray, models: Sequence[Model] = ()) -> 
     Raises:
         ValueError: a model that is not finite at u.
     """
-    observation, found = problem.evaluate(np.tile(u, (max(len(models), 1), 1)), models=models)
-    if not (np.isfinite(found).all() and np.isfinite(observation).all()):
+    observation, slopes = problem.evaluate(np.tile(u, (max(len(models), 1), 1)), models=models)
+    if not (np.isfinite(slopes).all() and np.isfinite(observation).all()):
         values = problem.elements.structure(mapped_values(problem.elements, u[None])[0])
         raise ValueError(f"model: its observation or its slope is not finite at {values}, in SI".replace("\n", " "))
-    return found
+    return slopes
 
 
 @dataclasses.dataclass(frozen=True)
@@ -220,7 +220,7 @@ class _Gain:
             u, root = given.u, given.peaks[0].spectrum.root
         mixing = elements.mixing @ root
         raw = zip(problems, _slopes(problems, u))
-        slopes = [np.sqrt(each.discount) / each.sd[:, None] * found @ mixing for each, found in raw]
+        slopes = [np.sqrt(each.discount) / each.sd[:, None] * slope @ mixing for each, slope in raw]
         factors = [np.linalg.qr(item, mode="r") if len(item) > item.shape[1] else item for item in slopes]
         rows = max(len(item) for item in factors)
         stacked = np.stack([np.pad(item, ((0, rows - len(item)), (0, 0))) for item in factors])
@@ -241,13 +241,13 @@ class _Gain:
 
     def best(self, sets: Iterable[tuple[int, ...]]) -> tuple[tuple[int, ...], float]:
         """Return the set of largest gain; the empty one where there is none."""
-        found: tuple[tuple[int, ...], float] = ((), 0.0)
+        best: tuple[tuple[int, ...], float] = ((), 0.0)
         for _, same in itertools.groupby(sets, len):
             while block := list(itertools.islice(same, SETS)):
                 gains = self.of_sets(block)
-                if gains.max() > found[1] or not found[0]:
-                    found = block[int(np.argmax(gains))], float(gains.max())
-        return found
+                if gains.max() > best[1] or not best[0]:
+                    best = block[int(np.argmax(gains))], float(gains.max())
+        return best
 
 
 def _slopes(problems: list[Problem], u: np.ndarray) -> list[np.ndarray]:
@@ -255,11 +255,11 @@ def _slopes(problems: list[Problem], u: np.ndarray) -> list[np.ndarray]:
     groups: dict[Hashable, dict[int, Problem]] = {}
     for each in problems:
         groups.setdefault(program_of(each.model), {})[id(each.model)] = each
-    found: dict[int, np.ndarray] = {}
+    slopes: dict[int, np.ndarray] = {}
     for group in groups.values():
         first, *_ = same = list(group.values())
-        found |= zip(group, slopes_at(first, u, [each.model for each in same]))
-    return [found[id(each.model)] for each in problems]
+        slopes |= zip(group, slopes_at(first, u, [each.model for each in same]))
+    return [slopes[id(each.model)] for each in problems]
 
 
 def _nats(rows: np.ndarray) -> np.ndarray:
@@ -285,7 +285,7 @@ def _choose(
     while True:  # exchanges of one for another
         outside = [k for k in range(len(prices)) if k not in chosen]
         swaps = [(*(i for i in chosen if i != out), k) for out in chosen for k in outside]
-        found = gain.best(item for item in swaps if fits(item))
-        if not found[1] > total * (1 + 1e-12):
+        swap = gain.best(item for item in swaps if fits(item))
+        if not swap[1] > total * (1 + 1e-12):
             return chosen, total, False
-        chosen, total = found
+        chosen, total = swap

@@ -130,8 +130,8 @@ def contributions(problem: Problem, values: np.ndarray) -> np.ndarray:
 def shares(problem: Problem, values: np.ndarray) -> dict[str, dict[str, float]]:
     """{group: {field: share}} of element values (p,); NaN where nothing is explained or the model fails on the way."""
     fields = problem.elements.population.active
-    found = contributions(problem, values)
-    whitened = found / problem.sd[:, None]
+    parts = contributions(problem, values)
+    whitened = parts / problem.sd[:, None]
     made = {}
     for group, places in problem.layout.groups.items():
         part = whitened[places]

@@ -156,8 +156,8 @@ def run(
             state, info = step(key, state)
             return state, (state.position, info.is_divergent)
 
-        found: tuple[jax.Array, jax.Array] = jax.lax.scan(advance, state, jax.random.split(sampling, draws))[1]
-        return found
+        positions: tuple[jax.Array, jax.Array] = jax.lax.scan(advance, state, jax.random.split(sampling, draws))[1]
+        return positions
 
     return jax.vmap(chain)(keys, starts)
 

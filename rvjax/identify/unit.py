@@ -168,9 +168,9 @@ def _lost(problem: Problem, y: np.ndarray, info: SolveInfo) -> Posterior:
 def _goodness(problem: Problem, y: np.ndarray, residual: np.ndarray, slopes: np.ndarray, u: np.ndarray) -> Fit:
     """Goodness of fit of model and prior for one unit."""
     mixing, seen = problem.elements.mixing, ~np.isnan(y)
-    found = goodness(slopes, mixing, problem.nuisance, slopes @ u - residual, seen, problem.dof)
+    numbers = goodness(slopes, mixing, problem.nuisance, slopes @ u - residual, seen, problem.dof)
     return Fit(
-        **{name: number.item() for name, number in found.items()},
+        **{name: number.item() for name, number in numbers.items()},
         weights=weights_of(residual, seen, problem.dof),
         worst=largest(residual, problem.layout.names),
     )
@@ -213,16 +213,16 @@ def predict(
     values, status = respond(response, source.problem.elements.population, jnp.asarray(z.T))
     good = succeeded(np.asarray(status))
     required = by_response(requirement, tuple(values), Limits, "requirement")
-    found = {}
+    estimates = {}
     for name, numbers in values.items():
         number = np.asarray(numbers, float)
         limits = required.get(name)
         if limits is not None:
             kept = good & (number >= limits.lower) & (number <= limits.upper)
-            found[name] = wilson(int(kept.sum()), draws, confidence)
+            estimates[name] = wilson(int(kept.sum()), draws, confidence)
         else:
-            found[name] = _summary(number[good & np.isfinite(number)], confidence)
-    return unwrapped(found)
+            estimates[name] = _summary(number[good & np.isfinite(number)], confidence)
+    return unwrapped(estimates)
 
 
 def _summary(numbers: np.ndarray, confidence: float) -> Estimate:

@@ -153,14 +153,14 @@ def _sampling(angle: np.ndarray, readings: int, parts: Mapping[str, float]) -> S
     return Sampling(len(angle), readings, stroke, step, hole, repetition(angle, highest(parts) + 3 * top))
 
 
-def _check_steps(found: Judged) -> None:
+def _check_steps(curve: Judged) -> None:
     """Raise ValueError for a lost step."""
-    for term in found.found("step"):
-        size = float(found.model.size(term)[0][0])
-        if abs(size) > LOST * found.noise:
-            at = found.angle[int(term.at)] / deg
-            gap = f"jumps by {size / arcsec:.3g} arcsec at {at:.5g} deg (row {found.rows[int(term.at)]})"
-            raise ValueError(f"{found.run.name}: the error {gap}: a lost step; measure again")
+    for term in curve.found("step"):
+        size = float(curve.model.size(term)[0][0])
+        if abs(size) > LOST * curve.noise:
+            at = curve.angle[int(term.at)] / deg
+            gap = f"jumps by {size / arcsec:.3g} arcsec at {at:.5g} deg (row {curve.rows[int(term.at)]})"
+            raise ValueError(f"{curve.run.name}: the error {gap}: a lost step; measure again")
 
 
 ENDS = 40  # part of the readings that is an end of the curve, one in

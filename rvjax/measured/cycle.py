@@ -191,16 +191,16 @@ def read_cycle(
     return replace(read, up=rest) if path.rising else replace(read, down=rest)
 
 
-def together(found: Cycles, torque: np.ndarray, angle: np.ndarray, step: tuple[float, float]) -> Read:
+def together(cycles: Cycles, torque: np.ndarray, angle: np.ndarray, step: tuple[float, float]) -> Read:
     """All cycles as one."""
     sides = []
-    for paths in ([cycle.rising for cycle in found.used], [cycle.falling for cycle in found.used]):
-        passed = [_smooth(torque[path.index], path.rising, found.noise) for path in paths]
+    for paths in ([cycle.rising for cycle in cycles.used], [cycle.falling for cycle in cycles.used]):
+        passed = [_smooth(torque[path.index], path.rising, cycles.noise) for path in paths]
         index = np.concatenate([path.index for path in paths])
         sides.append(
             samples(np.concatenate([own for own, _ in passed]), max(b for _, b in passed), angle[index], *step)
         )
-    return Read(found.used[0], sides[0], sides[1], np.nan, 0.0, False, None, len(found.used))
+    return Read(cycles.used[0], sides[0], sides[1], np.nan, 0.0, False, None, len(cycles.used))
 
 
 def _smooth(torque: np.ndarray, rising: bool, noise: float) -> tuple[np.ndarray, float]:

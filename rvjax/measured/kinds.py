@@ -137,11 +137,11 @@ class Hysteresis(Kind):
                 row = table.rows[rows][np.argmax(np.isnan(values))]
                 raise ValueError(f"{table.source}: row {row}, {name} is empty: every sample of a loop needs both")
         unit = f"unit {at.unit!r}, " if at.unit else ""
-        found = branches(f"{table.source}: {unit}loop", torque, angle)
+        loop = branches(f"{table.source}: {unit}loop", torque, angle)
         return Loop(
-            *(table.source, at, found.torque, found.midline, found.width, found.sd, found.clipped),
-            findings=about(found, torque, angle, table.rows[rows]),
-            recorded=Recorded(torque, angle, used(found, len(torque))),
+            *(table.source, at, loop.torque, loop.midline, loop.width, loop.sd, loop.clipped),
+            findings=about(loop, torque, angle, table.rows[rows]),
+            recorded=Recorded(torque, angle, used(loop, len(torque))),
         )
 
     def findings(self, item: Item, parts: Mapping[str, float]) -> tuple[Finding, ...]:

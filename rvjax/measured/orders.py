@@ -74,11 +74,11 @@ def noise_level(
         )
         return scipy.optimize.minimize(cost, near.x, args=(shape,), jac=True, method="BFGS")
 
-    found, flat = fit(hats), fit(np.ones((len(bins), 1)))
-    if 2 * (flat.fun - found.fun) < COLOURED:
+    level, flat = fit(hats), fit(np.ones((len(bins), 1)))
+    if 2 * (flat.fun - level.fun) < COLOURED:
         return white
     at = np.log(orders)
-    falling = np.maximum.accumulate(found.x[::-1])[::-1]  # no less at low orders than at high ones
+    falling = np.maximum.accumulate(level.x[::-1])[::-1]  # no less at low orders than at high ones
     slopes = (falling[1:3] - falling[0]) / (knots[1:3] - knots[0])
     size = np.interp(at, knots, falling) + max(float(slopes.min()), STEEPEST) * np.minimum(at - knots[0], 0.0)
     reach = np.abs(np.log(bins) - np.maximum(at, knots[0])[:, None]) < REACH
@@ -123,16 +123,16 @@ def fitted(judged: Judged, most: int) -> Fitted:
         ValueError: too few readings.
     """
     orders = _orders(judged, most)
-    found = identify.orders(judged.angle, judged.error - _beyond(judged, most), orders)
-    white_sd = found.residual_sd
+    harmonics = identify.orders(judged.angle, judged.error - _beyond(judged, most), orders)
+    white_sd = harmonics.residual_sd
     share, count = noise_level(judged.model, white_sd, orders, judged.parts.values(), _top(judged, most))
-    plain = found.sd
-    sd = np.sqrt(found.sd**2 * share + _of_drift(judged, orders) ** 2)
+    plain = harmonics.sd
+    sd = np.sqrt(harmonics.sd**2 * share + _of_drift(judged, orders) ** 2)
     tries = max(len(orders), 1) / CHANCE
     # Power of noise over the mean of `count` others: beyond x with a chance of (1 + x/count)^-count.
     limit = count * np.expm1(math.log(tries) / count)
-    strong = np.flatnonzero(np.abs(found.value) ** 2 > 2 * sd**2 * limit)
-    found = dataclasses.replace(found, sd=sd)
+    strong = np.flatnonzero(np.abs(harmonics.value) ** 2 > 2 * sd**2 * limit)
+    harmonics = dataclasses.replace(harmonics, sd=sd)
     least = white_sd * math.sqrt(2 / len(judged.angle))
     unsure = {}
     for k in strong:
@@ -142,7 +142,7 @@ def fitted(judged: Judged, most: int) -> Fitted:
         if why:
             unsure[int(orders[k])] = why
     seen = np.array([k for k in strong if int(orders[k]) not in unsure], int)
-    return Fitted(found, seen, unsure, float(np.max(share, initial=1.0)))
+    return Fitted(harmonics, seen, unsure, float(np.max(share, initial=1.0)))
 
 
 def _top(judged: Judged, most: int) -> float:

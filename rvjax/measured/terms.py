@@ -162,14 +162,14 @@ def content(
     starts = [[1, *known]]
     if sampling.turns > PARTIAL:
         starts += [[1, *known, *range(2, LOW + 1)]]
-    found = []
+    models = []
     for start in starts:
         first = [order for order in dict.fromkeys(start) if order < top][: max(room // 4, 1 if room > 1 else 0)]
         model = Model(angle, value, [Term("order", float(order)) for order in first])
-        found.append(_whole(_grown(model, sampling, parts, top, timed), top))
-        if all(term.kind == "order" and term.at in first for term in found[-1].terms):
+        models.append(_whole(_grown(model, sampling, parts, top, timed), top))
+        if all(term.kind == "order" and term.at in first for term in models[-1].terms):
             break  # nothing that low orders could explain in another way
-    return min(found, key=_loss)
+    return min(models, key=_loss)
 
 
 def _grown(model: Model, sampling: Sampling, parts: Mapping[str, float], top: float, timed: bool) -> Model:
@@ -183,10 +183,10 @@ def _grown(model: Model, sampling: Sampling, parts: Mapping[str, float], top: fl
             candidates = iter([_glitch(model, model.residual)])
         else:
             break
-        found = _best(model, candidates)
-        several = _two(model) if found is None else [found]
-        if found is not None and found.kind == "pair":
-            several = [Term("order", float(math.floor(found.at) + k)) for k in (0, 1)]
+        best = _best(model, candidates)
+        several = _two(model) if best is None else [best]
+        if best is not None and best.kind == "pair":
+            several = [Term("order", float(math.floor(best.at) + k)) for k in (0, 1)]
         if not several:
             break
         more = Model(model.angle, model.value, [*model.terms, *(a for a in several if a not in model.terms)])
@@ -216,13 +216,13 @@ def _loss(model: Model) -> float:
 def _warm_up(model: Model, sampling: Sampling) -> Term:
     """The warm-up that explains most; it lasts for several readings."""
     least = max(TIMES[0] * sampling.stroke, model.angle[min(3, len(model.angle) - 1)] - model.angle[0])
-    found = scipy.optimize.minimize_scalar(
+    minimum = scipy.optimize.minimize_scalar(
         lambda log: model.more(Term("warm-up", math.exp(log) * sampling.stroke)),
         bounds=(math.log(min(least / sampling.stroke, 1.0)), math.log(TIMES[1])),
         method="bounded",
         options={"xatol": 1e-3},
     )
-    return Term("warm-up", math.exp(float(found.x)) * sampling.stroke)
+    return Term("warm-up", math.exp(float(minimum.x)) * sampling.stroke)
 
 
 def _best(model: Model, candidates: Iterator[Term]) -> Term | None:
