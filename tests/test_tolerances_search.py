@@ -14,7 +14,6 @@ from optima_cases import CASES
 from scipy import stats
 
 from benchmarks import optima_problems
-from oracles.linear_pair import COSTS, LIMIT, PAIR, closed_cost, linear, share, two
 from rvjax.population import Estimate
 from rvjax.response import Part
 from rvjax.tolerances import Memo, Requirement, allocate
@@ -22,6 +21,7 @@ from rvjax.tolerances.allocation import search
 from rvjax.tolerances.allocation.certificate import Certifier
 from rvjax.tolerances.allocation.constraints import Constraints
 from rvjax.tolerances.batch.run import Run
+from tests.oracles.linear_pair import COSTS, LIMIT, PAIR, closed_cost, linear, share, two
 
 LINE = CASES["line"]
 

@@ -13,14 +13,14 @@ import pytest
 from codesign_cases import one_start
 from test_tolerances_constraints import X, constraints
 
-from oracles.linear_pair import COSTS, LIMIT, PAIR, closed_cost, linear, share
-from oracles.responses import Lever
 from rvjax.tolerances import Middle, Nominal, QuadraticLoss, ReciprocalPower, Requirement, Tolerance, Variable, allocate
 from rvjax.tolerances.allocation import programme
 from rvjax.tolerances.allocation.certificate import Certifier
 from rvjax.tolerances.allocation.programme import STATIONARY
 from rvjax.tolerances.allocation.search import Search
 from rvjax.units import um
+from tests.oracles.linear_pair import COSTS, LIMIT, PAIR, closed_cost, linear, share
+from tests.oracles.responses import Lever
 
 UNITS = 20_000
 FEW = dict(costs=COSTS, samples=4096, certificate_samples=UNITS)
