@@ -7,7 +7,7 @@ from cycloidal_cases import NAMED, SAMPLES, design_of, dictionaries, fits
 
 from oracles import cycloidal as oracle
 from rvjax import CycloidalErrors, Status, catalogue, geometry
-from rvjax.geometry.drive import largest_share
+from rvjax.geometry.figures import largest_share
 from rvjax.loaded import unchecked
 from rvjax.units import GPa, mm, um
 

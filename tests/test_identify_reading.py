@@ -9,8 +9,7 @@ from loaded_turns import PINS, TURN, found_over_a_turn, orders_read, sprung
 from rvjax import catalogue, identify, loaded, models
 from rvjax.loaded import head, observation
 from rvjax.measured import Conditions
-from rvjax.published.rv160 import ENCODER, READ
-from rvjax.published.rv160_reducer import NONE
+from rvjax.published.rv160 import ENCODER, NONE, READ
 from rvjax.status import at_once
 from rvjax.study import bench
 from rvjax.study.nuisances import NUISANCES, nuisance, part_orders

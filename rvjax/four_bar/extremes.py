@@ -10,7 +10,17 @@ import numpy as np
 
 from rvjax._jax.elementary import arctan2, divide
 from rvjax.four_bar.closures import Crank, stretch
-from rvjax.four_bar.fit import Turning, apart, bore_excess, direction, fit, misfit, still_and_turning, turning, vector
+from rvjax.four_bar.disc_fit import (
+    Turning,
+    apart,
+    bore_excess,
+    direction,
+    fit,
+    misfit,
+    still_and_turning,
+    turning,
+    vector,
+)
 from rvjax.four_bar.turn import Score, Wave, largest_and_smallest
 from rvjax.four_bar.unit import Unit, Vector
 from rvjax.records import Array, PyTree, Record, field, record

@@ -15,7 +15,7 @@ from rvjax.status import Status
 
 
 @dataclass(frozen=True)
-class Conditions:
+class RingConditions:
     """Load of the nominal contact pressure."""
 
     output_torque: float = condition(0.0, "torque of the discs on the carrier", unit="N m", torque=True)
@@ -63,7 +63,7 @@ def _figure(unit: str, meaning: str, name: str, read_in: str | None = None, part
 DESCRIPTION = Description(
     name="geometry",
     design=RVReducer,
-    conditions=Conditions,
+    conditions=RingConditions,
     outputs={
         "shortening": _figure("-", "shortening coefficient K1", "shortening"),
         "convex_radius": _figure("m", "least radius of the convex flank, <= 0: undercut", "convex_radius", "mm"),
