@@ -14,7 +14,7 @@ from oracles import cycloidal as oracle
 from rvjax import CycloidalErrors, RVErrors, Status
 from rvjax.catalogue import RV_40E
 from rvjax.loaded import clearance, unchecked
-from rvjax.loaded.cycloidal_fit import largest_gap, lines
+from rvjax.loaded.cycloidal_gaps import largest_gap, lines
 from rvjax.units import um
 
 TWO = design_of(NAMED["c17: fit, errors"]["design"])

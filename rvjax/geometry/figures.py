@@ -13,7 +13,7 @@ import numpy as np
 from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import InvoluteStage, RVReducer, expect
-from rvjax.geometry.ring import Figures, harmless, material, of_ring, of_steel, root, squared_pressure
+from rvjax.geometry.ring import Figures as Figures, harmless, material, of_ring, of_steel, root, squared_pressure
 from rvjax.records import Array, PyTree, Scalar, promote
 from rvjax.status import Status, admit
 

@@ -17,7 +17,7 @@ from rvjax._jax.compile_cache import QUICK, quick
 from rvjax.catalogue import part_class
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import Friction, RVReducer
-from rvjax.loaded import Conditions as OfReducer, DriveConditions as OfDrive, ways
+from rvjax.loaded import DriveConditions as OfDrive, LoadedConditions, ways
 from rvjax.outputs import Description, Joint, Output, Reading, Solved, Source, condition
 from rvjax.records import PyTree, Scalar
 from rvjax.running.back_driving import BackDriving, back_driving
@@ -161,7 +161,7 @@ def _conditions(base: type) -> Any:
     return [*fields, ("output_speed", Any, speed), ("running_samples", Any, samples)]
 
 
-Conditions = dataclasses.make_dataclass("Conditions", _conditions(OfReducer), frozen=True)
+RunningConditions = dataclasses.make_dataclass("RunningConditions", _conditions(LoadedConditions), frozen=True)
 """Operating conditions of the friction."""
 DriveConditions = dataclasses.make_dataclass("DriveConditions", _conditions(OfDrive), frozen=True)
 """Of a single-stage drive."""
@@ -237,7 +237,7 @@ UNKNOWN = (
 DESCRIPTION = Description(
     name="running",
     design=RVReducer,
-    conditions=Conditions,
+    conditions=RunningConditions,
     outputs={
         "efficiency": Output(
             "-", "output over input power, input drives", Reading((forward,), _efficiency), SPEED,
