@@ -16,8 +16,8 @@ import pytest
 from rvjax import Damping, dynamics
 from rvjax.catalogue import RV_320E
 from rvjax.dynamics.assembly import lump
-from rvjax.dynamics.error_peaks import _modes
-from rvjax.dynamics.modal import DynamicStiffness, ModalSector, matrix_root, on_resonance
+from rvjax.dynamics.error_speeds import _modes
+from rvjax.dynamics.modes import DynamicStiffness, ModalSector, matrix_root, on_resonance
 from rvjax.dynamics.symmetry import KINDS
 from rvjax.units import rpm
 from tests.oracles.dynamics import Oracle, layout

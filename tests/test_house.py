@@ -272,7 +272,7 @@ def overrides(name):
 
 def test_every_exported_function_of_two_parameters_tells_each():
     """The test above holds that the section names them all, in their order."""
-    assert {"rvjax.four_bar.revolution.revolution", "rvjax.records.field", "rvjax.status.worst"} <= set(EXPORTED)
+    assert {"rvjax.four_bar.reducer.revolution", "rvjax.records.field", "rvjax.status.worst"} <= set(EXPORTED)
     assert "rvjax._reducer.deviations.Errors.for_design" in EXPORTED  # a method of a base of records
     several = [name for name in EXPORTED if len(parameters(PUBLIC[name])) > 1 and not overrides(name)]
     assert [name for name in several if "\nArgs:\n" not in inspect.cleandoc(PUBLIC[name].__doc__)] == []

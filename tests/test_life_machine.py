@@ -15,8 +15,8 @@ from life_cases import BASIC, NAMED, PLAN, duty_of, plain, rate, rate_together, 
 
 import rvjax
 from rvjax import Bearings, RVErrors, Status, life, loaded, study
-from rvjax.life.angles import input_angles
-from rvjax.life.histories import LIFE, WEIBULL
+from rvjax.life.damage import LIFE, WEIBULL
+from rvjax.life.duty import input_angles
 from rvjax.life.machine import check_plan, reliability_factor
 from rvjax.loaded import BearingForces, admit, bearing_forces, unchecked
 from rvjax.population import Population, drawn, root_key

@@ -26,7 +26,7 @@ from tests.identify_models import Noise, unit
 equilibrium = sys.modules["rvjax.loaded.equilibrium"]  # a function hides it
 CASE = NAMED["rv40: all errors, rated, linear"]
 DESIGN, ERRORS = plain((design_of(CASE), errors_of(CASE, design_of(CASE))))
-GIVEN = outputs.Conditions(output_torque=412.0, samples=8, pin_contact="linear", input_angle=0.3)
+GIVEN = outputs.LoadedConditions(output_torque=412.0, samples=8, pin_contact="linear", input_angle=0.3)
 RUNS = [Conditions(torque=412.0, direction=way) for way in ("forward", "backward")]
 PRIOR = {
     "ring_centre": Tolerance.symmetric(5 * um, shape=(2,)),

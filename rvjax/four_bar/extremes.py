@@ -10,7 +10,7 @@ import numpy as np
 
 from rvjax._jax.elementary import arctan2, divide
 from rvjax.four_bar.closures import Crank, stretch
-from rvjax.four_bar.fit import (
+from rvjax.four_bar.disc_fit import (
     Fit,
     Turning,
     apart,

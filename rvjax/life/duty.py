@@ -1,12 +1,54 @@
-"""Duty of a reducer: phases of torque, speed and time, and the revolutions of its crank bearings."""
+"""Motion of the crank bearings: phases of a duty and their revolutions, sense of the cranks, angles of a turn."""
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
-from rvjax.records import Record, concrete, field, quantity, record
+from rvjax.cycloidal import CycloidalReducer
+from rvjax.designs import RVReducer
+from rvjax.loaded import Layout
+from rvjax.records import PyTree, Record, concrete, field, quantity, record
+
+
+class BearingKind(NamedTuple):
+    """Of the cranks and their bearings. A crank makes pin_count turns against its disc in one of the output."""
+
+    supports: bool  # whether the bearings besides those of the discs are rated
+    sense: Callable[[PyTree], int]  # of the crank against disc and carrier for a positive turn of the output
+    torque: Callable[
+        [PyTree, jax.Array, jax.Array], jax.Array
+    ]  # of the output by a disc, about, by (e, force of an arm)
+
+
+def _of_cranks(design: RVReducer, eccentricity: jax.Array, force: jax.Array) -> jax.Array:
+    return force * design.cranks.circle_radius * design.counts["cranks"]
+
+
+def _of_shaft(design: CycloidalReducer, eccentricity: jax.Array, force: jax.Array) -> jax.Array:
+    return force * eccentricity * abs(design.ratio)
+
+
+def _sense_of_shaft(design: CycloidalReducer) -> int:
+    return 1 if design.ratio > 0 else -1
+
+
+KINDS: dict[type, BearingKind] = {
+    RVReducer: BearingKind(True, lambda design: -1, _of_cranks),
+    CycloidalReducer: BearingKind(False, _sense_of_shaft, _of_shaft),
+}
+
+
+def kind_of(design: PyTree) -> BearingKind:
+    """Entry of `KINDS` for a design.
+
+    Args:
+        design: one of `KINDS`.
+    """
+    return next(kind for cls, kind in KINDS.items() if isinstance(design, cls))
 
 
 @record
@@ -63,3 +105,76 @@ def revolutions(pins: int, speed: jax.Array, time: jax.Array) -> Revolutions:
     turned = pins / (2 * jnp.pi) * jnp.abs(speed) * time
     total = jnp.sum(turned)
     return Revolutions(turned / jnp.where(total > 0, total, 1), total / jnp.sum(time))
+
+
+_GOLDEN = (np.sqrt(5) - 1) / 2
+
+
+class Sampled(Protocol):
+    """Angles of a turn."""
+
+    @property
+    def layout(self) -> Layout:
+        """Its pins are read."""
+
+    @property
+    def samples(self) -> int:
+        """Number of angles."""
+
+    @property
+    def crank_turns(self) -> int:
+        """In which they lie."""
+
+
+class Turning(Sampled, Protocol):
+    """Angles of a turn whose sense counts."""
+
+    @property
+    def sense(self) -> int:
+        """Of the cranks against disc and carrier, 1 or -1 for a positive turn of the output."""
+
+
+def check_angles(samples: int, turns: float, pins: int) -> int:
+    """Crank turns in some turns of the output.
+
+    Args:
+        samples: angles.
+        turns: of the output.
+        pins: of the ring.
+
+    Raises:
+        ValueError: samples < 1, or a part of a crank turn.
+    """
+    if isinstance(samples, bool) or not isinstance(samples, (int, np.integer)) or samples < 1:
+        raise ValueError(f"samples = {samples!r}: must be an integer of at least 1")
+    crank_turns = round(float(turns) * pins) if np.isfinite(turns) else 0
+    if crank_turns < 1 or abs(float(turns) * pins - crank_turns) > 1e-6:
+        raise ValueError(
+            f"turns = {turns:g}: must be a whole number of crank turns, k / {pins} of the output with k >= 1"
+        )
+    return crank_turns
+
+
+def input_angles(plan: Sampled, design: PyTree, dtype: DTypeLike) -> jax.Array:
+    """Input angles over the turn of the output, (n,) rad: every crank angle once, each in a crank turn of its own.
+
+    Equally spaced angles alias with the errors, whose loads have the orders of pins and teeth. Eq. 11.
+
+    Args:
+        plan: samples and crank turns.
+        design: its gear ratio is read.
+        dtype: of the result.
+    """
+    order = np.arange(plan.samples)
+    lap = np.floor(plan.crank_turns * ((order * _GOLDEN) % 1))
+    return jnp.asarray(design.ratio * 2 * np.pi * (lap + order / plan.samples) / plan.layout.pins, dtype)
+
+
+def inner_angles(plan: Turning, dtype: DTypeLike) -> jax.Array:
+    """Angle of each crank against disc and carrier at the samples, without whole turns, (n,) rad.
+
+    Args:
+        plan: samples and sense of the cranks.
+        dtype: of the result.
+    """
+    return jnp.asarray(plan.sense * 2 * np.pi * np.arange(plan.samples) / plan.samples, dtype)

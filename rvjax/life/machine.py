@@ -16,11 +16,9 @@ from rvjax._ground.axes import fit
 from rvjax._jax.elementary import power
 from rvjax._reducer.bearings import Bearings, RollerBearing
 from rvjax.errors import Errors
-from rvjax.life.angles import check_angles, inner_angles
 from rvjax.life.bearing import Looseness, check_method, damaged
-from rvjax.life.histories import WEIBULL, Damage, basic, magnitude
-from rvjax.life.kinds import kind_of
-from rvjax.life.ratings import check_ratings, harmless, ratings, unfit
+from rvjax.life.damage import WEIBULL, Damage, basic, check_ratings, harmless, magnitude, ratings, unfit
+from rvjax.life.duty import check_angles, inner_angles, kind_of
 from rvjax.loaded import BearingForces, Layout, Read, check_input, unchecked
 from rvjax.records import PyTree, Scalar, concrete, promote, quantity
 from rvjax.status import Gate, SolveInfo, Status, worst_of

@@ -20,14 +20,11 @@ from rvjax.catalogue import RV_40E, part_class
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors, read_by
-from rvjax.life.angles import input_angles
-from rvjax.life.duty import Duty
-from rvjax.life.histories import METHODS
-from rvjax.life.kinds import kind_of
+from rvjax.life.damage import METHODS, check_ratings, static_rating
+from rvjax.life.duty import Duty, input_angles, kind_of
 from rvjax.life.machine import check_alone, check_places, check_plan
 from rvjax.life.rated import RatedTorque, rated_torque
 from rvjax.life.rating import Rating, by_forces, rating, under
-from rvjax.life.ratings import check_ratings, static_rating
 from rvjax.loaded import (
     CONTACTS,
     MACHINE,
@@ -85,7 +82,7 @@ COLUMNS = {"output_torque": "N m", "output_speed": "rad/s", "time": "s"}
 
 
 @dataclass(frozen=True)
-class Conditions:
+class LifeConditions:
     """Under which duty, and how, the bearings are rated. The turn is always a whole one of the output."""
 
     samples: int = condition(48, "input angles over the span", minimum=4, maximum=100_000)
@@ -104,7 +101,7 @@ class Conditions:
     duty: tuple[tuple[float, ...], ...] | None = condition(None, "phases of a cycle", columns=COLUMNS)
 
 
-def _ways(given: Conditions) -> dict[str, Any]:
+def _ways(given: LifeConditions) -> dict[str, Any]:
     return dict(
         samples=given.life_samples or given.samples,
         method=given.life_method,
@@ -113,12 +110,12 @@ def _ways(given: Conditions) -> dict[str, Any]:
     )
 
 
-def _duty(errors: RVErrors, given: Conditions) -> Duty:
+def _duty(errors: RVErrors, given: LifeConditions) -> Duty:
     dtype = jnp.result_type(float, *jax.tree.leaves(errors))
     return Duty(*(jnp.asarray(column, dtype) for column in np.asarray(given.duty, float).T))
 
 
-def rated(design: RVReducer, errors: RVErrors, given: Conditions) -> Rating:
+def rated(design: RVReducer, errors: RVErrors, given: LifeConditions) -> Rating:
     """Under the duty."""
     return rating(errors.stiffened(design), errors, _duty(errors, given), **_ways(given))
 
@@ -152,7 +149,7 @@ def turned_and_rated(design: RVReducer, errors: RVErrors, given: PyTree) -> tupl
     return summary(around), by_forces(plan, numbers, read.errors, forces)
 
 
-def sought(design: RVReducer, errors: RVErrors, given: Conditions) -> RatedTorque:
+def sought(design: RVReducer, errors: RVErrors, given: LifeConditions) -> RatedTorque:
     """At the rated speed, for the rated life."""
     assert given.rated_life is not None and given.rated_speed is not None
     return rated_torque(
@@ -176,10 +173,10 @@ def _torque(found: RatedTorque, design: RVReducer, given: object) -> Solved:
     return found.torque, found.info.status
 
 
-def _refusing(name: str, own: Callable[[Conditions], None]) -> Callable[[RVReducer, Conditions], None]:
+def _refusing(name: str, own: Callable[[LifeConditions], None]) -> Callable[[RVReducer, LifeConditions], None]:
     """Check the parts of a design, the reliability and the bearings of the method, then run the check `own`."""
 
-    def refuse(design: RVReducer, given: Conditions) -> None:
+    def refuse(design: RVReducer, given: LifeConditions) -> None:
         for part in ("stiffness", "contact"):
             if getattr(design, part) is None:
                 cls = part_class(type(design), part)
@@ -208,7 +205,7 @@ def _refusing(name: str, own: Callable[[Conditions], None]) -> Callable[[RVReduc
     return refuse
 
 
-def _with_duty(given: Conditions) -> None:
+def _with_duty(given: LifeConditions) -> None:
     if given.duty is None:
         told = ", ".join(f"{name} in {unit}" for name, unit in COLUMNS.items())
         raise ValueError(f"[[duty]] is missing: life and static safety need at least one phase, with {told}")
@@ -220,7 +217,7 @@ def _with_duty(given: Conditions) -> None:
         raise ValueError("duty.time = 0 s in all phases: must have a positive sum")
 
 
-def _moving(given: Conditions) -> None:
+def _moving(given: LifeConditions) -> None:
     _with_duty(given)
     assert given.duty is not None
     if not any(speed and time for _, speed, time in given.duty):
@@ -230,7 +227,7 @@ def _moving(given: Conditions) -> None:
         )
 
 
-def _with_life(given: Conditions) -> None:
+def _with_life(given: LifeConditions) -> None:
     assert given.rated_life is not None
     if given.rated_life <= 0:
         raise ValueError(f"conditions.rated_life = {given.rated_life:g} s: must be positive")
@@ -260,7 +257,7 @@ UNKNOWN = (
 DESCRIPTION = Description(
     name="life",
     design=RVReducer,
-    conditions=Conditions,
+    conditions=LifeConditions,
     outputs={
         "life": _of_duty(
             "life", "s", "that all crank bearings of a unit reach at the reliability, under the duty", _life, "h"
@@ -310,7 +307,7 @@ OTHERS = (
     dataclasses.replace(
         DESCRIPTION,
         design=CycloidalReducer,
-        conditions=without_sun("DriveConditions", Conditions, {}),
+        conditions=without_sun("DriveConditions", LifeConditions, {}),
         outputs=_of_eccentrics(),
         cases=None,
         unknown="bearing life (plane model): tilt and edge load (1 mrad costs a quarter of the life), lubricant and "

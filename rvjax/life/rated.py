@@ -21,11 +21,9 @@ from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
-from rvjax.life.angles import input_angles
-from rvjax.life.histories import LIFE
-from rvjax.life.kinds import KINDS, kind_of
+from rvjax.life.damage import LIFE, ratings
+from rvjax.life.duty import KINDS, input_angles, kind_of
 from rvjax.life.machine import Plan, check_plan, damages, entered
-from rvjax.life.ratings import ratings
 from rvjax.loaded import Read, admit, bearing_forces
 from rvjax.records import PyTree, Record, Scalar, concrete, field, quantity, record
 from rvjax.status import Gate, SolveInfo, Status, succeeded, worst

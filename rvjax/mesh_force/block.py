@@ -29,7 +29,7 @@ import jax.numpy as jnp
 from rvjax._jax.blocks import LEFT_OPEN
 from rvjax._jax.elementary import power
 from rvjax.mesh_force import laws, line_contact, safe
-from rvjax.mesh_force.case import Case, all_rollers, lever
+from rvjax.mesh_force.geometry import Case, all_rollers, lever
 from rvjax.mesh_force.laws import Compliance
 from rvjax.status import window
 

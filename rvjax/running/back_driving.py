@@ -15,7 +15,7 @@ from rvjax.errors import RVErrors
 from rvjax.loaded import Read
 from rvjax.records import Array, PyTree, Record, field, record
 from rvjax.running.inputs import Call, Plan, check_call, check_direction, entered
-from rvjax.running.turn import around
+from rvjax.running.losses import around
 from rvjax.status import Gate, SolveInfo, Status, succeeded, worst
 
 EVALUATIONS = 64
