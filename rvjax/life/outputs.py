@@ -39,7 +39,6 @@ from rvjax.loaded import (
     turn,
     turns_of,
     ways,
-    without_sun,
 )
 from rvjax.outputs import Cases, Description, Joint, Output, Reading, Solved, Usual, Way, condition
 from rvjax.records import PyTree
@@ -82,7 +81,7 @@ COLUMNS = {"output_torque": "N m", "output_speed": "rad/s", "time": "s"}
 
 
 @dataclass(frozen=True)
-class LifeConditions:
+class DriveLifeConditions:
     """Under which duty, and how, the bearings are rated. The turn is always a whole one of the output."""
 
     samples: int = condition(48, "input angles over the span", minimum=4, maximum=100_000)
@@ -91,7 +90,6 @@ class LifeConditions:
     )
     pin_contact: str = condition("hertz", "contact law of discs and pins", choices=CONTACTS)
     carrier: str = condition("fixed", "centre of the carrier", choices=SUPPORTS)
-    sun: str = condition("fixed", "centre of the sun", choices=SUPPORTS)
     life_method: str = condition("basic", "of a bearing life; methods differ in level", choices=METHODS)
     reliability: float = condition(
         0.9, "share of the bearings, under the loads of one unit, that reach its life", unit="-", minimum=0, maximum=1
@@ -101,7 +99,14 @@ class LifeConditions:
     duty: tuple[tuple[float, ...], ...] | None = condition(None, "phases of a cycle", columns=COLUMNS)
 
 
-def _ways(given: LifeConditions) -> dict[str, Any]:
+@dataclass(frozen=True)
+class LifeConditions(DriveLifeConditions):
+    """The same conditions of an RV reducer."""
+
+    sun: str = condition("fixed", "centre of the sun", choices=SUPPORTS)
+
+
+def _ways(given: DriveLifeConditions) -> dict[str, Any]:
     return dict(
         samples=given.life_samples or given.samples,
         method=given.life_method,
@@ -110,12 +115,12 @@ def _ways(given: LifeConditions) -> dict[str, Any]:
     )
 
 
-def _duty(errors: RVErrors, given: LifeConditions) -> Duty:
+def _duty(errors: RVErrors, given: DriveLifeConditions) -> Duty:
     dtype = jnp.result_type(float, *jax.tree.leaves(errors))
     return Duty(*(jnp.asarray(column, dtype) for column in np.asarray(given.duty, float).T))
 
 
-def rated(design: RVReducer, errors: RVErrors, given: LifeConditions) -> Rating:
+def rated(design: RVReducer, errors: RVErrors, given: DriveLifeConditions) -> Rating:
     """Under the duty."""
     return rating(errors.stiffened(design), errors, _duty(errors, given), **_ways(given))
 
@@ -149,7 +154,7 @@ def turned_and_rated(design: RVReducer, errors: RVErrors, given: PyTree) -> tupl
     return summary(around), by_forces(plan, numbers, read.errors, forces)
 
 
-def sought(design: RVReducer, errors: RVErrors, given: LifeConditions) -> RatedTorque:
+def sought(design: RVReducer, errors: RVErrors, given: DriveLifeConditions) -> RatedTorque:
     """At the rated speed, for the rated life."""
     assert given.rated_life is not None and given.rated_speed is not None
     return rated_torque(
@@ -173,10 +178,12 @@ def _torque(found: RatedTorque, design: RVReducer, given: object) -> Solved:
     return found.torque, found.info.status
 
 
-def _refusing(name: str, own: Callable[[LifeConditions], None]) -> Callable[[RVReducer, LifeConditions], None]:
+def _refusing(
+    name: str, own: Callable[[DriveLifeConditions], None]
+) -> Callable[[RVReducer, DriveLifeConditions], None]:
     """Check the parts of a design, the reliability and the bearings of the method, then run the check `own`."""
 
-    def refuse(design: RVReducer, given: LifeConditions) -> None:
+    def refuse(design: RVReducer, given: DriveLifeConditions) -> None:
         for part in ("stiffness", "contact"):
             if getattr(design, part) is None:
                 cls = part_class(type(design), part)
@@ -205,7 +212,7 @@ def _refusing(name: str, own: Callable[[LifeConditions], None]) -> Callable[[RVR
     return refuse
 
 
-def _with_duty(given: LifeConditions) -> None:
+def _with_duty(given: DriveLifeConditions) -> None:
     if given.duty is None:
         told = ", ".join(f"{name} in {unit}" for name, unit in COLUMNS.items())
         raise ValueError(f"[[duty]] is missing: life and static safety need at least one phase, with {told}")
@@ -217,7 +224,7 @@ def _with_duty(given: LifeConditions) -> None:
         raise ValueError("duty.time = 0 s in all phases: must have a positive sum")
 
 
-def _moving(given: LifeConditions) -> None:
+def _moving(given: DriveLifeConditions) -> None:
     _with_duty(given)
     assert given.duty is not None
     if not any(speed and time for _, speed, time in given.duty):
@@ -227,7 +234,7 @@ def _moving(given: LifeConditions) -> None:
         )
 
 
-def _with_life(given: LifeConditions) -> None:
+def _with_life(given: DriveLifeConditions) -> None:
     assert given.rated_life is not None
     if given.rated_life <= 0:
         raise ValueError(f"conditions.rated_life = {given.rated_life:g} s: must be positive")
@@ -307,7 +314,7 @@ OTHERS = (
     dataclasses.replace(
         DESCRIPTION,
         design=CycloidalReducer,
-        conditions=without_sun("DriveConditions", LifeConditions, {}),
+        conditions=DriveLifeConditions,
         outputs=_of_eccentrics(),
         cases=None,
         unknown="bearing life (plane model): tilt and edge load (1 mrad costs a quarter of the life), lubricant and "

@@ -6,10 +6,9 @@ elements that is cheaper than from one angle to the next. Every observation is l
 that each equilibrium is solved for its slopes once, however many numbers are observed.
 """
 
-import dataclasses
 import functools
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,13 +34,13 @@ SPANS = ("crank_turn", "output_turn")
 
 
 @dataclass(frozen=True)
-class LoadedConditions:
-    """Operating conditions of a whole reducer and of its test bench; None only where no output needs the value."""
+class DriveConditions:
+    """Operating conditions of a single-stage drive and its test bench; None only where no output needs the value."""
 
-    output_torque: float = condition(0.0, "torque of the discs on the carrier", unit="N m", torque=True)
-    second_torque: float = condition(None, "of the discs on the carrier, the second one", unit="N m")
+    output_torque: float = condition(0.0, "torque of the discs on the output", unit="N m", torque=True)
+    second_torque: float = condition(None, "of the discs on the output, the second one", unit="N m")
     rated_torque: float = condition(None, "of which a test bench takes shares", unit="N m")
-    input_angle: float = condition(0.0, "of the sun, at which the bench twists the output", unit="rad")
+    input_angle: float = condition(0.0, "of the shaft, at which the bench twists the output", unit="rad")
     probe_angles: int = condition(
         1, "input angles of the bench, equally spaced over the span from the input angle on", minimum=1, maximum=1000
     )
@@ -50,36 +49,16 @@ class LoadedConditions:
     order: int = condition(None, "periods in one turn of the output", minimum=1, maximum=50_000)
     pin_contact: str = condition("hertz", "contact law of discs and pins", choices=CONTACTS)
     carrier: str = condition("fixed", "centre of the carrier", choices=SUPPORTS)
+
+
+@dataclass(frozen=True)
+class LoadedConditions(DriveConditions):
+    """Operating conditions of an RV reducer: the sun is its input, the carrier its output."""
+
+    output_torque: float = condition(0.0, "torque of the discs on the carrier", unit="N m", torque=True)
+    second_torque: float = condition(None, "of the discs on the carrier, the second one", unit="N m")
+    input_angle: float = condition(0.0, "of the sun, at which the bench twists the output", unit="rad")
     sun: str = condition("fixed", "centre of the sun", choices=SUPPORTS)
-
-
-def without_sun(name: str, conditions: type, said: Mapping[str, str]) -> Any:
-    """Class of the same conditions of a single-stage drive: without a first stage.
-
-    Args:
-        name: of the class.
-        conditions: class of those of an RV reducer.
-        said: meanings of fields that differ.
-    """
-    fields: list[Any] = [
-        (f.name, Any, dataclasses.field(default=f.default, metadata={**f.metadata, "meaning": meaning}))
-        for f in dataclasses.fields(conditions)
-        if f.name != "sun"
-        for meaning in (said.get(f.name, f.metadata["meaning"]),)
-    ]
-    return dataclasses.make_dataclass(name, fields, frozen=True)
-
-
-DriveConditions = without_sun(
-    "DriveConditions",
-    LoadedConditions,
-    {
-        "output_torque": "torque of the discs on the output",
-        "second_torque": "of the discs on the output, the second one",
-        "input_angle": "of the shaft, at which the bench twists the output",
-    },
-)
-"""Conditions of a single-stage drive."""
 
 
 def ways(given: Any) -> dict[str, str]:
