@@ -21,7 +21,7 @@ from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors, read_by
 from rvjax.life.damage import METHODS, check_ratings, static_rating
-from rvjax.life.duty import Duty, input_angles, kind_of
+from rvjax.life.duty import Duty, kind_of
 from rvjax.life.machine import check_alone, check_places, check_plan
 from rvjax.life.rated import RatedTorque, rated_torque
 from rvjax.life.rating import Rating, by_forces, rating, under
@@ -137,7 +137,7 @@ def turned_and_rated(design: RVReducer, errors: RVErrors, given: PyTree) -> tupl
     numbers = under(duty, phases, design, read, given.reliability, 0.0)
 
     along = 2 * np.pi * design.ratio * turns_of(design, given) * np.arange(n) / n
-    spread = input_angles(plan, design, read.torque.dtype)
+    spread = plan.input_angles(design, read.torque.dtype)
     torques = jnp.concatenate([jnp.full(n, read.torque[-1]), jnp.repeat(read.torque[:-1], plan.samples)])
     angles = jnp.concatenate([jnp.asarray(along, read.torque.dtype), jnp.tile(spread, phases)])
     before = np.concatenate(
