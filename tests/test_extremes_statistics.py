@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from oracles.linear_pair import COSTS, LIMIT, PAIR, WIDE, linear
 from rvjax._ground.files import PARTIAL, write_atomically
 from rvjax.status import Status
 from rvjax.study import StudyError
@@ -29,6 +28,7 @@ from rvjax.tolerances import (
 )
 from rvjax.tolerances.batch import checkpoint
 from rvjax.units import um
+from tests.oracles.linear_pair import COSTS, LIMIT, PAIR, WIDE, linear
 
 GOOD = (EMBEDDED / "rv-40e.toml").read_text()
 ONE = {"a": Tolerance(-3.0, 3.0)}

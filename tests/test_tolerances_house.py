@@ -12,8 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from oracles.responses import Linear
-from rvjax.population.distribution import DISTRIBUTIONS, Distribution
+from rvjax.population.tolerance import DISTRIBUTIONS, Distribution
 from rvjax.records import field, record
 from rvjax.study.read import _requirements
 from rvjax.study.toleranced import parse_tolerance
@@ -32,6 +31,7 @@ from rvjax.tolerances import (
 from rvjax.tolerances.requirements.kinds import CpkAtLeast, MeanWithin
 from rvjax.tolerances.requirements.limits import KINDS, Limits, Pull
 from rvjax.units import um
+from tests.oracles.responses import Linear
 
 
 @record

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from rvjax.designs import RVReducer
 from rvjax.four_bar.closures import Crank
-from rvjax.records import Array, PyTree, Scalar
+from rvjax.records import Array, Scalar
 
 Vector = tuple[jax.Array, jax.Array]
 
@@ -47,7 +47,7 @@ def disc_load(design: RVReducer, eccentricity: Array, shortening: Array, torque:
     )
 
 
-def pin_force(load: DiscLoad, crank: Crank, tangent: tuple[PyTree, PyTree], count: int, radius: Array) -> Vector:
+def pin_force(load: DiscLoad, crank: Crank, tangent: Vector, count: int, radius: Array) -> Vector:
     """Force of a disc on one of `count` crank pins; `crank` is the disc's eccentric direction."""
     couple = load.torque / (count * radius)
     return (

@@ -92,7 +92,7 @@ def equilibrium(law: str, teeth: int, case: Case) -> Found:
 
 
 @equilibrium.defjvp
-def _equilibrium_jvp(law: str, teeth: int, primals: PyTree, tangents: PyTree) -> PyTree:
+def _equilibrium_jvp(law: str, teeth: int, primals: tuple[Case], tangents: tuple[Case]) -> tuple[Found, Found]:
     found = equilibrium(law, teeth, *primals)
     return found, jax.custom_derivatives.zero_from_primal(found)
 
