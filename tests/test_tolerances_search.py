@@ -64,7 +64,7 @@ def test_certificates_are_of_one_sample_that_no_search_has_seen(monkeypatch):
 
 def test_after_a_miss_the_wanted_rejects_are_those_of_the_result(monkeypatch):
     """Grades and prices go on from them; a looser vector is tried, and misses."""
-    seen, ends, test, certified = [], [], Certifier.test, search.Search._certified
+    seen, ends, test, certified = [], [], Certifier.test, search.Search.certified
 
     def tested(self, constraints, x):
         seen.append((x, constraints.rejects))
@@ -78,7 +78,7 @@ def test_after_a_miss_the_wanted_rejects_are_those_of_the_result(monkeypatch):
     monkeypatch.setattr(Certifier, "holds", lambda self, statistics: len(seen) == 1)
     looser = lambda self, constraints, *_: (1.2 * constraints.rejects, constraints.moved)  # noqa: E731
     monkeypatch.setattr(Certifier, "corrected", looser)
-    monkeypatch.setattr(search.Search, "_certified", end)
+    monkeypatch.setattr(search.Search, "certified", end)
     solved()
     (constraints, _, best), (x, rejects) = ends[0], seen[0]
     assert len(seen) > 1 and (best.look.x == x).all()

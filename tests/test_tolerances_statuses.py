@@ -45,7 +45,7 @@ def test_optimal_needs_every_part_of_the_promise():
         search.constraints.rows = [share, statistic] if mean else [share]
         look = SimpleNamespace(cost=1.0, priced=0.21 if dear else 0.19)
         end = SimpleNamespace(look=None, settled=settled, residual=0.5, certain=0.9 * STATIONARY if near else 0.11)
-        status, good = Search._status(search, None, end, 1.0, look), certified and exact
+        status, good = Search.status(search, None, end, 1.0, look), certified and exact
         assert (status == "NOT_CERTIFIED") == (not good)
         assert (status == "SUBOPTIMAL") == (good and dear)
         assert (status == "OPTIMAL") == (good and not dear and settled and (near or (rays and not loss and not mean)))
