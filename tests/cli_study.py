@@ -17,9 +17,8 @@ SMALL = SMALL.replace("samples = 16384", "samples = 1024")
 SMALL = SMALL.replace('grade = "IT6"\nsize = "25 mm"\n', 'half_width = "6.5 um"\n')  # not the field with a comment
 SMALL = SMALL.replace("certificate_samples = 1_000_000", "certificate_samples = 20_000").replace("0.9973", "0.99")
 MIDDLE = 'lower = "-20 um"\nupper = "20 um"\n'
-SMALL = SMALL.replace(
-    MIDDLE, MIDDLE + 'cost = 0.1\nper = "1 um"\n'
-)  # the answer pays for a middle; a lower price: a long search
+# The answer pays for a mid-point; at a tenth of the price the search is five times as long.
+SMALL = SMALL.replace(MIDDLE, MIDDLE + 'cost = 0.1\nper = "1 um"\n')
 HISTOGRAMS = ["histogram_transmission_error", "histogram_misfit", "histogram_lost_motion"]
 PICTURES = ["curves", *HISTOGRAMS, "variance_shares", "cost_against_yield"]
 FOUND: dict = {}  # answers by the text of their study
