@@ -67,7 +67,7 @@ target = 0.99
 upper = "2800 MPa"
 [run]
 samples = 1024
-certificate_samples = 16000
+certificate_samples = 20000
 """
 HALF = {"disc_centre": 3.75, "pin_offset": 5.0, "disc_pitch": 9.5, "pin_radii": 1.0}  # um
 NUMBER = {"disc_centre": 15.0, "pin_offset": 20.0, "disc_pitch": 19.0}
