@@ -7,6 +7,7 @@ are held against the numbers that they show.
 import dataclasses
 import os
 import re
+import shlex
 import subprocess
 import sys
 import textwrap
@@ -147,6 +148,21 @@ def test_the_commands_of_the_docs_exist(capsys):
     ):
         assert cli.main([command, "--help"]) == 0
     assert "examples:" in capsys.readouterr().out
+
+
+@pytest.mark.long
+def test_the_first_commands_of_the_readme_run(tmp_path, monkeypatch, capsys):
+    """One for each kind of user, with the studies of the pages that the table names."""
+    monkeypatch.chdir(tmp_path)
+    Path("joint.toml").write_text(blocks("friction.md", "toml")[0], "utf-8")
+    Path("bench.toml").write_text(blocks("identify_bench.md", "toml")[0], "utf-8")
+    table = (DOCS.parent / "README.md").read_text("utf-8").split("| user |")[1].split("\n\n")[0]
+    first = [re.search(r"`rvjax (.+?)`", row.split("|")[2]).group(1) for row in table.splitlines()[2:]]
+    assert [command.split()[0] for command in first] == ["init", "init", "export", "identify"]
+    for command in first:
+        assert cli.main(shlex.split(command)) == 0, command
+    assert {"mine.toml", "drive.toml", "joint.json"} <= {path.name for path in tmp_path.iterdir()}
+    assert "Measure next" in capsys.readouterr().out
 
 
 @pytest.mark.long  # compiles an allocation
