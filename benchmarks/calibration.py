@@ -21,8 +21,7 @@ from scipy import optimize
 
 import rvjax
 from rvjax import identify, loaded
-from rvjax.published.rv160 import ANGLES
-from rvjax.published.rv160_reducer import FITTED, MACHINE, MEASURED, RATED, TORQUE, pattern
+from rvjax.published.rv160 import ANGLES, FITTED, MACHINE, MEASURED, RATED, TORQUE, pattern
 from rvjax.records import Record, field, record
 from rvjax.tolerances import Tolerance
 from rvjax.units import arcmin, um

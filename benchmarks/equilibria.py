@@ -19,7 +19,7 @@ settings()
 import numpy as np  # noqa: E402  (after the flags)
 
 from rvjax import models, study  # noqa: E402
-from rvjax.levels.equilibria import contacts, measured  # noqa: E402
+from rvjax.levels.choice import contacts, equilibrium_times  # noqa: E402
 from rvjax.levels.measure import machine  # noqa: E402
 from rvjax.outputs import Reading  # noqa: E402
 from rvjax.population import Population, root_key  # noqa: E402
@@ -88,12 +88,12 @@ def main():
     if only is not None:
         outputs = list(OUTPUTS["rv"])[:1]
         spent, work = microseconds(asked("rv", "hertz", outputs), outputs)
-        scale = measured()["rv"]["turn"]["hertz"] * work["turn"] / spent
-        about = measured()["measured_on"]
+        scale = equilibrium_times()["rv"]["turn"]["hertz"] * work["turn"] / spent
+        about = equilibrium_times()["measured_on"]
         print("scale", scale, flush=True)
     for name, outputs_of in OUTPUTS.items():
         if only not in (None, name):
-            found[name] = measured()[name]
+            found[name] = equilibrium_times()[name]
             continue
         design = study.load(STUDIES[name], solve=False).design
         found[name] = own = {"contacts": contacts(design)}

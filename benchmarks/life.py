@@ -23,8 +23,11 @@ from benchmarks.loaded import draw, fields  # noqa: E402
 from benchmarks.whole import ACCURACY  # noqa: E402
 from rvjax import RollerBearing, RVErrors, catalogue, life, loaded, study  # noqa: E402
 from rvjax._jax.compile_cache import QUICK  # noqa: E402
-from rvjax.life.histories import J4, J45  # noqa: E402
-from rvjax.life.ratings import ratings  # noqa: E402
+from rvjax.life.damage import (  # noqa: E402
+    J4,
+    J45,
+    ratings,
+)
 from rvjax.loaded.cases import MACHINE  # noqa: E402
 from rvjax.records import promote  # noqa: E402
 from rvjax.response.response import BLOCK  # noqa: E402

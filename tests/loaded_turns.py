@@ -11,7 +11,7 @@ import numpy as np
 from loaded_cases import by_newton, plain
 
 from rvjax import loaded
-from rvjax.published.rv160_reducer import MACHINE, NONE
+from rvjax.published.rv160 import MACHINE, NONE
 from rvjax.status import succeeded
 from rvjax.units import mm
 

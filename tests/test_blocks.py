@@ -15,8 +15,8 @@ from rvjax import RVErrors, catalogue, loaded
 from rvjax._jax import blocks
 from rvjax._jax.batching import settle
 from rvjax.commands import speak
-from rvjax.mesh_force.case import Case
 from rvjax.mesh_force.equilibrium import equilibrium
+from rvjax.mesh_force.geometry import Case
 from rvjax.population import Population, Tolerance
 from rvjax.records import Record, field, record
 from rvjax.response import Evaluator, devices, solving, units_devices, units_on

@@ -23,7 +23,6 @@ from cycloidal_cases import (
     solve_with_slopes,
 )
 
-from oracles import cycloidal as oracle
 from rvjax import (
     Contact,
     CycloidalErrors,
@@ -38,9 +37,10 @@ from rvjax import (
 )
 from rvjax.catalogue import RV_40E_WHOLE as rv
 from rvjax.geometry import squared_pressure
-from rvjax.loaded import material, unchecked
+from rvjax.loaded import laws, unchecked
 from rvjax.loaded.kinds import prepare
 from rvjax.status import Status, succeeded
+from tests.oracles import cycloidal as oracle
 
 FAST = (
     *("c17: no", "c17: all errors, rated, hertz", "c17: crank turn", "c29: no", "c29: p", "c29: five", "ring13: all"),
@@ -432,7 +432,7 @@ def test_pins_of_another_material():
 def test_pins_of_another_material_in_an_rv_reducer():
     """The same material written out changes nothing; softer pins: p^2/F falls with s1 + s2, their compliance."""
     same = rv.contact.replace(pin_young_modulus=206e9, pin_poisson_ratio=0.3)
-    for number in (material.plane, squared_pressure, lambda contact: material.level(contact, 0.02)):
+    for number in (laws.plane, squared_pressure, lambda contact: laws.level(contact, 0.02)):
         np.testing.assert_allclose(number(same), number(rv.contact), rtol=1e-14)
 
     @jax.jit

@@ -23,7 +23,7 @@ from rvjax.commands.design import live as design_live, prices as design_prices
 from rvjax.commands.report import live, surrogate
 from rvjax.render import Limits
 from rvjax.study import rewrite
-from rvjax.study.toleranced import FORMS, forms
+from rvjax.study.tolerances import FORMS, forms
 from rvjax.tolerances import Tolerance
 from rvjax.units import um
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
-from oracles.dynamics import Oracle
 from rvjax import Damping, MeshVariation, RVErrors, Status, dynamics
 from rvjax.catalogue import RV_320E
-from rvjax.dynamics import error_response
+from rvjax.dynamics import error_speeds
+from tests.oracles.dynamics import Oracle
 
 OUTPUTS = ("output.rotation", "sun.rotation", "transmission_error")
 SPEED, MICRON = 200.0, 1e-6
@@ -127,7 +127,7 @@ def test_a_batch_leaves_neighbours_alone():
 def test_the_place_of_a_peak_is_the_first_of_the_largest_values(speeds):
     """Small whole numbers are often equal; each place is the largest for some unit."""
     squares = np.random.default_rng(6).integers(0, 4, size=(2, speeds, 1, 500)).astype(float)
-    np.testing.assert_array_equal(jax.jit(error_response._first)(squares), squares.argmax(1))
+    np.testing.assert_array_equal(jax.jit(error_speeds._first)(squares), squares.argmax(1))
 
 
 def test_static_limit_is_the_closed_form():

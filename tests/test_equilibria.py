@@ -6,7 +6,7 @@ from rvjax import levels, study
 from rvjax.commands.allocate import answer, expected, phases_of
 from rvjax.commands.allocate.forecast import CERTIFYING, PRICING, SAMPLING, SEARCHING, solved_units
 from rvjax.commands.forecast import unit_seconds
-from rvjax.levels.equilibria import measured
+from rvjax.levels.choice import equilibrium_times
 
 WHOLE = study.load("rv-40e-whole", solve=False).text
 CONDITIONS = 'output_torque = "412 N m"\nrated_torque = "412 N m"\n'
@@ -31,8 +31,8 @@ TURN, BENCH = "loaded_transmission_error", "bench_lost_motion"
 
 
 def test_time_is_in_proportion_to_angles_pins_and_discs():
-    table = measured()["rv"]
-    per_core = 1e-6 / measured()["measured_on"]["cores"]
+    table = equilibrium_times()["rv"]
+    per_core = 1e-6 / equilibrium_times()["measured_on"]["cores"]
     assert seconds(TURN, samples=24) == pytest.approx(24 * table["turn"]["hertz"] * per_core)
     assert seconds(TURN, samples=48) == pytest.approx(2 * seconds(TURN, samples=24))
     assert seconds(BENCH, probe_angles=4) == pytest.approx(8 * table["bench"]["hertz"] * per_core)
@@ -46,7 +46,9 @@ def test_outputs_of_one_revolution_take_its_time_once():
     both = seconds(TURN, "turn_pin_pressure", samples=24)
     assert both == seconds(TURN, samples=24)
     life = seconds(TURN, "life", samples=24, life_samples=12) - both
-    assert life == pytest.approx(12e-6 * measured()["rv"]["life"]["hertz"] / measured()["measured_on"]["cores"])
+    assert life == pytest.approx(
+        12e-6 * equilibrium_times()["rv"]["life"]["hertz"] / equilibrium_times()["measured_on"]["cores"]
+    )
     assert seconds(TURN, BENCH, samples=24, probe_angles=4) == pytest.approx(both + seconds(BENCH, probe_angles=4))
 
 
@@ -62,8 +64,8 @@ def test_the_time_of_the_default_study_is_known_and_an_unmeasured_one_is_not():
 def test_a_drive_has_times_of_its_own():
     """Twelve angles of a turn and of the fit, two probe angles with two torques; contacts of 4 holes."""
     drive = study.load("cycloidal-17", solve=False)
-    own, count = measured()["cycloidal"], {"turn": 12, "probe": 4, "fit": 12}
-    due = sum(1e-6 * own[use]["hertz"] * n for use, n in count.items()) / measured()["measured_on"]["cores"]
+    own, count = equilibrium_times()["cycloidal"], {"turn": 12, "probe": 4, "fit": 12}
+    due = sum(1e-6 * own[use]["hertz"] * n for use, n in count.items()) / equilibrium_times()["measured_on"]["cores"]
     assert own["contacts"] == 2 * (18 + 6) and unit_seconds(drive) == pytest.approx(due)
     fewer = drive.text.replace('base = "cycloidal-17"\n', 'base = "cycloidal-17"\noutput.count = 4\n')
     assert unit_seconds(study.parse_study(fewer, name="x", solve=False)) == pytest.approx(due * 44 / 48)

@@ -23,7 +23,7 @@ from four_bar_reducers import (
 )
 
 from rvjax import RVErrors, Status, four_bar
-from rvjax.four_bar.forces import pin_load_ratio
+from rvjax.four_bar.unit import pin_load_ratio
 from rvjax.units import mm, um
 
 

@@ -16,8 +16,7 @@ from rvjax.catalogue import CORR, RV_40E, RV_320E
 from rvjax.designs import Contact, CrankStage, CycloidStage, InvoluteStage
 from rvjax.geometry import contact_ratio, least_convex_radius
 from rvjax.loaded.cases import MACHINE
-from rvjax.loaded.gaps import flank_rounding, pin_depths
-from rvjax.loaded.geometry import Turn, geometry as geometry_at
+from rvjax.loaded.geometry import Turn, flank_rounding, geometry as geometry_at, pin_depths
 from rvjax.status import Status
 from rvjax.units import MPa, mm
 

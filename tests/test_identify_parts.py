@@ -107,7 +107,7 @@ def test_a_gain_on_top_of_another_measurement():
 def test_parts_of_a_turn_take_no_order_of_the_pins_for_another():
     """40 pins: a fifth of 320 angles takes orders for others that are 8 or more away from multiples of 40; of 328
     angles no part of at most five does."""
-    given = outputs.Conditions(samples=24)
+    given = outputs.LoadedConditions(samples=24)
     assert CURVE.parts(MACHINE, given, (40, 80), False) == 5
     assert CURVE.parts(MACHINE, given, (40, 80), True) == 1
     assert CURVE.parts(MACHINE, given, (82,), False) == 1

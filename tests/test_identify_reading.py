@@ -7,13 +7,12 @@ import pytest
 from loaded_turns import PINS, TURN, found_over_a_turn, orders_read, sprung
 
 from rvjax import catalogue, identify, loaded, models
-from rvjax.loaded import head, observation
+from rvjax.loaded import observation
 from rvjax.measured import Conditions
-from rvjax.published.rv160 import ENCODER, READ
-from rvjax.published.rv160_reducer import NONE
+from rvjax.published.rv160 import ENCODER, NONE, READ
 from rvjax.status import at_once
 from rvjax.study import bench
-from rvjax.study.nuisances import NUISANCES, nuisance, part_orders
+from rvjax.study.identification import NUISANCES, nuisance, part_orders
 from rvjax.tolerances import Tolerance
 from rvjax.units import arcsec, um
 
@@ -51,9 +50,9 @@ def law(request, monkeypatch):
     """What the loaded model answers: forces and errors of a formula, or those of its equilibria."""
     if request.param == "told":
         monkeypatch.setattr(observation, "_errors", lambda *_: told_error(_[-2][:, None], _[-1][None]))
-        monkeypatch.setattr(head, "equilibrium", told)
-        effects = head._effects.__wrapped__  # wrapped: no program of the formula is kept for others
-        monkeypatch.setattr(head, "_effects", jax.jit(lambda *given: effects(*given), static_argnums=(3, 4, 5)))
+        monkeypatch.setattr(observation, "equilibrium", told)
+        effects = observation._effects.__wrapped__  # wrapped: no program of the formula is kept for others
+        monkeypatch.setattr(observation, "_effects", jax.jit(lambda *given: effects(*given), static_argnums=(3, 4, 5)))
     return request.param
 
 

@@ -18,7 +18,7 @@ from rvjax.commands import forecast
 from rvjax.levels.choice import design_numbers, reach
 from rvjax.levels.measure import evaluate, limits
 from rvjax.levels.table import Level, Model, Table, stored
-from rvjax.life.histories import METHODS
+from rvjax.life.damage import METHODS
 from rvjax.life.outputs import cases as life_cases
 from rvjax.loaded.cases import MACHINE, WHOLE, cases
 from rvjax.outputs import Cases, Way

@@ -14,8 +14,7 @@ from loaded_cases import at, plain
 from scipy.special import hyp2f1
 
 from rvjax import RollerBearing, Status, life
-from rvjax.life.histories import J4, J45, METHODS
-from rvjax.life.ratings import ratings
+from rvjax.life.damage import J4, J45, METHODS, ratings
 from rvjax.loaded import unchecked
 from rvjax.records import promote
 

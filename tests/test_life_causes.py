@@ -4,6 +4,7 @@ Oracles: closed forms of the plane model without errors, the makers' duty formul
 """
 
 import dataclasses
+import sys
 from functools import partial
 from types import SimpleNamespace
 
@@ -18,7 +19,7 @@ from rvjax._jax.exported import SUFFIX
 from rvjax.commands.report import lives
 from rvjax.commands.report.bearings import bearing_section
 from rvjax.commands.report.lives import TORQUES, Lives, lives_if_any
-from rvjax.life import causes
+from rvjax.life.rating import Orders
 from rvjax.loaded import BearingForces
 from rvjax.render import Figure, Note, Table
 from rvjax.response import per_response
@@ -79,7 +80,7 @@ def test_the_orders_of_forces_that_are_told(monkeypatch):
             jnp.broadcast_to(force, (*shape, layout.discs, layout.links, 2)), force[:, :, 0], info, None
         )
 
-    monkeypatch.setattr(causes, "bearing_forces", told)
+    monkeypatch.setattr(sys.modules["rvjax.life.rating"], "bearing_forces", told)
     found = jax.jit(partial(life.force_orders, samples=100))(design, errors, output_torque=412.0)
     due = [waves.get(int(order), 0.0) for order in found.order]
     assert found.amplitude.shape == (2, design.cranks.count, 100)
@@ -180,7 +181,7 @@ def test_lives_are_those_of_the_units_and_their_programs_are_kept(question, kept
 
     def orders(design, errors, *, output_torque, samples, contact, carrier, sun):
         size = output_torque * (1 + 1e5 * errors.pin_radius) * jnp.ones((*errors.crank_eccentricity.shape, samples))
-        return causes.Orders(np.arange(samples), jax.lax.complex(size, 0 * size), None)
+        return Orders(np.arange(samples), jax.lax.complex(size, 0 * size), None)
 
     monkeypatch.setattr(life, "rating", rating)
     monkeypatch.setattr(life, "force_orders", orders)

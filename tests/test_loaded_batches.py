@@ -10,7 +10,7 @@ from loaded_cases import NAMED, assert_same, at, design_of, errors_of, solve, su
 
 from rvjax import Status, loaded
 from rvjax._jax.blocks import Size
-from rvjax.loaded import batching, newton
+from rvjax.loaded import balance, newton
 from rvjax.loaded.case import solve as solve_from
 from rvjax.loaded.equilibrium import outcome
 from rvjax.loaded.kinds import admit, check_input, prepare
@@ -91,9 +91,9 @@ def test_the_last_cases_of_a_wide_block_go_on_in_a_narrow_one(monkeypatch):
     due = jax.tree.map(np.asarray, solve_units(errors, torques, COLD))
     monkeypatch.setattr(newton, "EQUILIBRIA", Size(1000, 1000))
     monkeypatch.setattr(newton, "_WIDE", UNITS - 1)
-    batching.in_lanes.cache_clear()
+    balance.in_lanes.cache_clear()
     lowered = jax.jit(lambda *given: units_solved(*given)).lower(errors, torques, COLD)
-    batching.in_lanes.cache_clear()
+    balance.in_lanes.cache_clear()
     text = lowered.as_text()
     assert all(f"tensor<13x{lanes}xf64>" in text for lanes in (UNITS, UNITS // 16))
     found = jax.tree.map(np.asarray, lowered.compile()(errors, torques, COLD))

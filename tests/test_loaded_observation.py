@@ -13,8 +13,8 @@ import pytest
 from loaded_cases import NAMED, design_of, errors_of, plain, solve
 
 from rvjax.identify.elements import mapped
-from rvjax.identify.problem import Problem
-from rvjax.identify.shares import contributions
+from rvjax.identify.identification import Problem
+from rvjax.identify.posterior import contributions
 from rvjax.loaded import observation, outputs
 from rvjax.loaded.kinds import check_input
 from rvjax.measured import Conditions
@@ -26,7 +26,7 @@ from tests.identify_models import Noise, unit
 equilibrium = sys.modules["rvjax.loaded.equilibrium"]  # a function hides it
 CASE = NAMED["rv40: all errors, rated, linear"]
 DESIGN, ERRORS = plain((design_of(CASE), errors_of(CASE, design_of(CASE))))
-GIVEN = outputs.Conditions(output_torque=412.0, samples=8, pin_contact="linear", input_angle=0.3)
+GIVEN = outputs.LoadedConditions(output_torque=412.0, samples=8, pin_contact="linear", input_angle=0.3)
 RUNS = [Conditions(torque=412.0, direction=way) for way in ("forward", "backward")]
 PRIOR = {
     "ring_centre": Tolerance.symmetric(5 * um, shape=(2,)),

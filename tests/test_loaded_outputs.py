@@ -29,7 +29,7 @@ GIVEN = KIND.conditions(
 
 TURN = 2 * np.pi * DESIGN.ratio / 40
 ALONG = TURN * np.arange(24) / 24
-OWN = tuple(name for name in KIND.outputs if KIND.described[name].conditions is loaded.outputs.Conditions)
+OWN = tuple(name for name in KIND.outputs if KIND.described[name].conditions is loaded.outputs.LoadedConditions)
 ALL = tuple(name for name in OWN if KIND.outputs[name].costly is not False)  # those that solve equilibria
 
 
@@ -100,7 +100,7 @@ def test_outputs_of_a_bench_are_those_of_its_rotations(monkeypatch):
 def test_outputs_of_the_same_equilibria_share_them(monkeypatch):
     """How often a question solves a turn, a bench and a single angle; its programs are those of the test above."""
     calls, names = [], ("revolution", "twisted", "equilibrium")
-    homes = dict(zip(names, (loaded.sources, loaded.outputs, loaded.outputs)))
+    homes = dict(zip(names, (loaded.observation, loaded.outputs, loaded.outputs)))
 
     def counted(name, real, *arguments, **options):
         calls.append(name)

@@ -26,7 +26,7 @@ import rvjax
 from rvjax import Status, loaded
 from rvjax.loaded.kinds import admit, check_input, prepare
 from rvjax.loaded.rv import pin_compliance
-from rvjax.published.rv160_reducer import MACHINE, NONE
+from rvjax.published.rv160 import MACHINE, NONE
 from rvjax.units import arcsec, mm
 
 

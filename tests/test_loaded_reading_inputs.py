@@ -14,7 +14,7 @@ from loaded_turns import (
 )
 
 from rvjax import loaded
-from rvjax.published.rv160_reducer import MACHINE, NONE
+from rvjax.published.rv160 import MACHINE, NONE
 from rvjax.units import mm
 
 CASE = NAMED["rv40: all errors, rated, hertz"]

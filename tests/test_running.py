@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 
 from rvjax import Friction, Status, running
 from rvjax.loaded import unchecked
-from rvjax.running.turn import PLACES
+from rvjax.running.losses import PLACES
 
 BASIC = "rv40: all errors and shares"  # its program serves most tests of losses
 CASE = cases.NAMED[BASIC]

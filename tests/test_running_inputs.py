@@ -9,7 +9,7 @@ import running_cases as cases
 
 import rvjax
 from rvjax import Bearings, CycloidalErrors, Friction, RVErrors, loaded, running
-from rvjax.running.kinds import kind_of
+from rvjax.running.inputs import kind_of
 
 RV, ERRORS = cases.unit_of(cases.NAMED["rv40: no errors, forward"])
 FRICTION = cases.friction_of(cases.NAMED["rv40: no errors, forward"])

@@ -19,8 +19,8 @@ from rvjax.commands.report import friction as page
 from rvjax.commands.report.losses import BAND, SPEEDS, TORQUES, UnitLosses
 from rvjax.loaded import MACHINE, unchecked
 from rvjax.render import Report
-from rvjax.running import sets
-from rvjax.running.turn import PLACES, Turn
+from rvjax.running import outputs
+from rvjax.running.losses import PLACES, Turn
 from rvjax.status import SolveInfo
 from rvjax.study.response import Response
 
@@ -62,7 +62,7 @@ def test_outputs_are_the_losses_of_the_unit(monkeypatch):
 
     `test_outputs_pay_for_the_equilibria_that_they_read` and the references have those of the model.
     """
-    for module in (sets, sys.modules["rvjax.running.losses"]):
+    for module in (outputs, sys.modules["rvjax.running.losses"]):
         monkeypatch.setattr(module, "around", told)
     design = DRIVE.replace(cycloid=DRIVE.cycloid.replace(force_angle=0.1))  # no other test has this program
     errors = unchecked(DRIVE.error_record(), pin_radius=0.3, ring_pin_friction=0.2)
@@ -90,8 +90,8 @@ SETS = [  # torque, speed, outputs, torques of the equilibria
 @pytest.mark.parametrize(("torque", "speed", "names", "due"), SETS)
 def test_outputs_pay_for_the_equilibria_that_they_read(monkeypatch, torque, speed, names, due):
     asked = []
-    real = sets.turned
-    monkeypatch.setattr(sets, "turned", lambda d, e, g, torques: asked.append(torques) or real(d, e, g, torques))
+    real = outputs.turned
+    monkeypatch.setattr(outputs, "turned", lambda d, e, g, torques: asked.append(torques) or real(d, e, g, torques))
     given = models.kind(DRIVE).conditions(output_torque=torque, output_speed=speed, running_samples=2)
     jax.eval_shape(Response.of(DRIVE, names, given), DRIVE.error_record())
     assert asked == [due]
@@ -221,8 +221,8 @@ def test_hysteresis_at_the_probe_angles_and_back_driving_in_the_direction_of_mot
     def back(design, errors, *, direction, samples, **_):
         return running.BackDriving(jnp.float64(samples + {"forward": 0.25, "backward": 0.75}[direction]), info)
 
-    monkeypatch.setattr(sets, "hysteresis", width)
-    monkeypatch.setattr(sets, "back_driving", back)
+    monkeypatch.setattr(outputs, "hysteresis", width)
+    monkeypatch.setattr(outputs, "back_driving", back)
     kind, names, errors = models.kind(DRIVE), ("hysteresis", "back_driving_torque"), DRIVE.error_record()
     for speed, due in ((None, 6.25), (1.0, 6.25), (-1.0, 6.75)):
         angle = np.pi / 2 * DRIVE.ratio / 18  # a quarter of a crank turn

@@ -10,14 +10,12 @@ Source: Yang, Chen, Wang, "Response Sensitivity to Design Parameters of RV Reduc
 
 from rvjax.dynamics.assembly import Lumped, System, assemble, lump
 from rvjax.dynamics.error_excitation import ErrorExcitation, error_excitation
-from rvjax.dynamics.error_peaks import SpeedRange, speed_range
-from rvjax.dynamics.error_response import DynamicError, SpeedSweep, speed_sweep, transmission_error
-from rvjax.dynamics.error_statistics import ErrorStatistics, error_statistics
-from rvjax.dynamics.error_transfer import error_transfer
+from rvjax.dynamics.error_response import DynamicError, transmission_error
+from rvjax.dynamics.error_speeds import SpeedRange, SpeedSweep, speed_range, speed_sweep
+from rvjax.dynamics.error_transfer import ErrorStatistics, error_statistics, error_transfer
 from rvjax.dynamics.modes import Modes, modes
 from rvjax.dynamics.periodic import Floquet, Periodic, floquet, periodic
-from rvjax.dynamics.response import Response, constant_forcing, response
-from rvjax.dynamics.sensitivity import log_sensitivities, with_deviations
+from rvjax.dynamics.response import Response, constant_forcing, log_sensitivities, response, with_deviations
 from rvjax.dynamics.static import Static, static
 from rvjax.dynamics.symmetry import Block, Blocks, blocks
 

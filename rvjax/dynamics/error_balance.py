@@ -35,11 +35,9 @@ from rvjax.dynamics.error_excitation import (
     waves,
 )
 from rvjax.dynamics.error_transfer import KEY, Balanced, output_rows, rotations, static_deflection, transfer
-from rvjax.dynamics.excitation import MESH, mesh_count, phases, wave_coefficients
-from rvjax.dynamics.harmonics import constants
-from rvjax.dynamics.linear import solve
-from rvjax.dynamics.modal import dynamic_stiffness, modal_sectors, modal_solve, on_resonance, residual
-from rvjax.dynamics.static import balancing_torque, linear_ratio, mean_state, mesh_rows, mesh_stiffness
+from rvjax.dynamics.excitation import MESH, constants, mesh_count, phases, wave_coefficients
+from rvjax.dynamics.modes import dynamic_stiffness, modal_sectors, modal_solve, on_resonance, residual
+from rvjax.dynamics.static import balancing_torque, linear_ratio, mean_state, mesh_rows, mesh_stiffness, solve
 
 WHOLE = ("coupled", 0)
 

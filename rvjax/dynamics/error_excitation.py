@@ -5,6 +5,10 @@ cranks and discs only the mean over the members reaches the rotations, so that e
 kind of spring, hold all errors: Re sum_n g_n e^{i n theta}, n per output turn. Vectors and pin angles are given
 in the frame of `rvjax.loaded`, crank 0 at pi; here crank 0 lies at 0, and they are negated.
 
+Errors of the pins are a series over the turning eccentric. With chi the angle of a pin before the eccentric, the pins
+with sin chi < 0 carry the torque of a loaded reducer. Their normal n = (K1 - cos chi, -sin chi) / S gives the share of
+the load that each carries, and the displacement of its contact.
+
 Derivation, orders and equation numbers: docs/models/dynamic_error.md.
 """
 
@@ -16,26 +20,21 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.polynomial.legendre import leggauss
 
 from rvjax._ground.axes import fit
 from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer, expect
 from rvjax.dynamics.assembly import Lumped, admitted, circle, loaded, lump
-from rvjax.dynamics.pin_series import in_phase, series
+from rvjax.dynamics.excitation import constants, in_phase
 from rvjax.errors import RVErrors, described, read_by
 from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record, text
 from rvjax.status import Gate, SolveInfo, Status, at_once, window
 
 SPRINGS = (
-    "sun_planet_mesh",
-    "support_radial",
-    "support_tangential",
-    "arm_radial",
-    "arm_tangential",
-    "arm_along",
-    "arm_across",
-    "disc_pin_mesh",
-)
+    "sun_planet_mesh", "support_radial", "support_tangential",
+    "arm_radial", "arm_tangential", "arm_along", "arm_across", "disc_pin_mesh",
+)  # fmt: skip
 """Signals of the errors: planets on the sun; cranks in the carrier; journals in the discs, as a mean seen from the
 crank and seen from the eccentric; discs on the pins."""
 
@@ -246,7 +245,7 @@ def generators(unit: Unit, orders: Orders, pin_harmonics: int) -> tuple[jax.Arra
     amplitude = add(amplitude, [pins], "disc_pin_mesh", centre)
     if many := length(errors["disc_flank"], -2):
         h = list(range(1, many + 1))
-        met = jnp.stack([_constant(waves(lumped.discs, -n), like) for n in h], axis=1)
+        met = jnp.stack([constants(waves(lumped.discs, -n), like) for n in h], axis=1)
         values = jnp.mean(vector(errors["disc_flank"]) * met, axis=0) * turned(-jnp.asarray(h, phase.dtype) * phase)
         amplitude = add(amplitude, [n * pins for n in h], "disc_pin_mesh", values)
     # Eq. 9: the ring, which all discs meet at once
@@ -271,7 +270,7 @@ def planet_series(unit: Unit) -> jax.Array:
     """Phasors of each planet's flank series at h pins (cranks, h): -(-1)^h conj c_ih."""
     value = vector(unit.errors["planet_flank"])
     sign = -((-1.0) ** np.arange(1, value.shape[1] + 1))
-    return value.conj() * _constant(sign, value)[None, :]
+    return value.conj() * constants(sign, value)[None, :]
 
 
 def vector(value: jax.Array) -> jax.Array:
@@ -283,7 +282,7 @@ def mean_of(values: jax.Array, wave: np.ndarray) -> jax.Array:
     """Mean over the members of `values` times a wave of roots of one; () values are those of every member."""
     if values.ndim == 0:
         return values * round(abs(wave.mean()))  # 0 or 1: no rounding is left of what cancels
-    return jnp.mean(values * _constant(wave, values))
+    return jnp.mean(values * constants(wave, values))
 
 
 def waves(members: int, steps: int) -> np.ndarray:
@@ -302,5 +301,50 @@ def _complex(real: jax.Array, imaginary: jax.Array | None = None) -> jax.Array:
     return jax.lax.complex(real, jnp.zeros_like(real) if imaginary is None else imaginary)
 
 
-def _constant(values: PyTree, like: jax.Array) -> jax.Array:
-    return jnp.asarray(values, like.dtype)
+NODES = 256  # of the quadrature, and one more for each harmonic: K1 = 0.99 to 1e-9, K1 <= 0.95 to rounding
+
+
+def series(
+    lumped: Lumped, shortening: jax.Array, harmonics: np.ndarray, offset: jax.Array, radii: jax.Array
+) -> jax.Array:
+    """Phasors (harmonics,) of the disc-pin mesh at orders m disc_teeth, Eqs. 10 and 11; harmonic 0 is the constant.
+
+    Args:
+        lumped: counts, force angle and disc phase are read.
+        shortening: K1, (), between 0 and 1.
+        harmonics: m, each zero or a multiple of the discs.
+        offset: of the pins, (pins, 2) or () m.
+        radii: of the pins, (pins,) or () m.
+    """
+    pins = lumped.disc_teeth + 1
+    nodes, weights = leggauss(NODES + int(harmonics.max()))
+    chi = np.pi * (1.5 + nodes / 2)
+    cosine, sine = (jnp.asarray(f(chi), shortening.dtype) for f in (np.cos, np.sin))
+    size = jnp.sqrt(1 + shortening * shortening - 2 * shortening * cosine)
+    normal = -sine / size
+    weight = jnp.asarray(weights / 4, shortening.dtype)  # (1/2 pi) integral over (pi, 2 pi)
+    share = jnp.cos(lumped.force_angle) * normal / (pins * jnp.sum(weight * normal * normal))  # Eq. 10
+    seen = jnp.stack([(shortening * cosine - 1) / size, shortening * normal, jnp.ones_like(size)])
+    turn = np.exp(-1j * np.outer(chi, harmonics))
+    real, imaginary = (
+        jnp.matmul(seen * (share * weight)[None, :], jnp.asarray(part, share.dtype)) for part in (turn.real, turn.imag)
+    )
+
+    c, s = circle(pins)
+    places = np.outer(harmonics, np.arange(pins)) % pins
+    sign = np.where(harmonics % 2, -1.0, 1.0)  # pin 0 lies at pi
+    waves = sign[:, None] * (c[places] + 1j * s[places])
+    plane = vector(offset)
+    sums = jnp.stack([_sum(x, waves) for x in (plane.real, plane.imag, radii)])
+    phase = jnp.asarray(-harmonics, share.dtype) * lumped.disc_phase
+    factor = jnp.asarray(np.where(harmonics == 0, 1.0, 2.0), phase.dtype)
+    turned = jax.lax.complex(factor * jnp.cos(phase), factor * jnp.sin(phase))
+    return turned * jnp.sum(jax.lax.complex(real, imaginary) * sums, axis=0)  # Eq. 11
+
+
+def _sum(values: jax.Array, waves: np.ndarray) -> jax.Array:
+    """sum_p x_p e^{i m a_p} (harmonics,); pins alike leave multiples of their number."""
+    if jnp.ndim(values) == 0:
+        exact = np.round(waves.sum(axis=1).real)
+        return jax.lax.complex(values * jnp.asarray(exact, values.dtype), jnp.zeros(len(exact), values.dtype))
+    return jax.lax.complex(*(jnp.asarray(part, values.dtype) @ values for part in (waves.real, waves.imag)))

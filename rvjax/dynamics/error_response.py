@@ -2,14 +2,9 @@
 
 First order holds the errors alone, springs at their mean stiffness: B_n = T(n Om) g_n, linear in the errors, with T
 free of them. Harmonic balance (error_balance.py) keeps the product with the varying mesh stiffness.
-
-Lines of a batch of units over many speeds, and the largest of each: a product with a matrix that all units share.
-
-The lines of a unit are many more numbers than its peaks. So the units go block by block, small enough for the cache,
-and the derivative of a peak takes the speed of the peak alone.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from math import gcd, lcm
 
@@ -18,10 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._ground.choices import choose
-from rvjax._jax.batching import folded
-from rvjax._jax.blocks import LINES
-from rvjax._jax.elementary import root
-from rvjax._jax.varying import fori_loop
 from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.error_balance import balance
@@ -38,109 +29,8 @@ from rvjax.dynamics.error_transfer import (
 from rvjax.dynamics.excitation import check_stage
 from rvjax.dynamics.response import METHODS
 from rvjax.errors import RVErrors
-from rvjax.records import Array, PyTree, Record, Scalar, field, record, text
+from rvjax.records import Array, Record, Scalar, field, record, text
 from rvjax.status import SolveInfo
-
-
-def factors(value: jax.Array, excitation: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Real factors of the product of transfer (speeds, orders, outputs, springs) and excitation (orders, springs).
-
-    Rows (orders, 2, speeds, outputs, 2 springs) give real and imaginary part: one product of real matrices runs several
-    times as fast as the complex one.
-    """
-    value = jnp.moveaxis(value, 1, 0)
-    rows = jnp.stack(
-        [jnp.concatenate([value.real, -value.imag], axis=-1), jnp.concatenate([value.imag, value.real], axis=-1)],
-        axis=1,
-    )
-    return rows, jnp.concatenate([excitation.real, excitation.imag], axis=-1)
-
-
-def lines(rows: jax.Array, columns: jax.Array) -> jax.Array:
-    """Return the product (orders, 2, speeds, outputs).
-
-    Args:
-        rows: of `factors`.
-        columns: likewise (orders, 2 springs), or (orders, 2 springs, batch), which becomes the last axis.
-    """
-    return jax.lax.dot_general(rows, columns, (((4,), (1,)), ((0,), (0,))))
-
-
-@jax.custom_jvp
-def largest(rows: jax.Array, columns: jax.Array) -> jax.Array:
-    """Largest |line|^2 over the speeds (orders, outputs), NaN if one is."""
-    return _highest(rows, columns[None])[0]
-
-
-@largest.defjvp
-def _largest_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
-    (rows, columns), (rows_change, columns_change) = primals, tangents
-    place = place_of_largest(rows, columns)[:, None, None, :, None]
-    rows, rows_change = (jnp.take_along_axis(x, place, axis=2)[:, :, 0] for x in (rows, rows_change))
-    columns, columns_change = (x[:, None, None] for x in (columns, columns_change))
-    line = jnp.sum(rows * columns, axis=-1)
-    change = jnp.sum(rows_change * columns + rows * columns_change, axis=-1)
-    return jnp.sum(line**2, axis=1), 2 * jnp.sum(line * change, axis=1)
-
-
-def place_of_largest(rows: jax.Array, columns: jax.Array) -> jax.Array:
-    """Index of the speed, the first of equal values."""
-    rows, columns = jax.lax.stop_gradient((rows, columns))
-    return _place(rows, columns[None])[0].astype(int)
-
-
-def _of_units(of_block: Callable[[jax.Array], jax.Array]) -> Callable[[jax.Array, jax.Array], jax.Array]:
-    """Return a function of all |line|^2 of a batch of units, in blocks of units whose lines stay in the cache.
-
-    Args:
-        of_block: of (orders, speeds, outputs, units) to (orders, outputs, units).
-
-    Returns:
-        Function of rows and columns (units, orders, 2 springs) to (units, orders, outputs); every vmap over errors
-        alone joins the units.
-    """
-
-    def function(rows: jax.Array, columns: jax.Array) -> jax.Array:
-        units, columns = len(columns), jnp.moveaxis(columns, 0, -1)
-        block = min(max(32, LINES // (rows.size // rows.shape[-1]) // 8 * 8), units)
-
-        def step(number: jax.Array, found: jax.Array) -> jax.Array:
-            start = jnp.minimum(number * block, units - block)
-            line = lines(rows, jax.lax.dynamic_slice_in_dim(columns, start, block, axis=-1))
-            square = jnp.square(line[:, 0]) + jnp.square(line[:, 1])
-            return jax.lax.dynamic_update_slice_in_dim(found, of_block(square), start, axis=-1)
-
-        found = jnp.zeros((rows.shape[0], rows.shape[3], units), columns.dtype)
-        return jnp.moveaxis(fori_loop(0, -(-units // block), step, found), -1, 0)
-
-    batched = jax.custom_batching.custom_vmap(function)
-
-    @batched.def_vmap
-    def _rule(size: int, is_batched: list[bool], rows: jax.Array, columns: jax.Array) -> tuple[jax.Array, bool]:
-        if is_batched[0]:  # different designs
-            return jax.vmap(function, (0, 0 if is_batched[1] else None))(rows, columns), True
-        found = batched(rows, columns.reshape(-1, *columns.shape[2:]))
-        return found.reshape(size, -1, *found.shape[1:]), True
-
-    return batched
-
-
-def _first(square: jax.Array) -> jax.Array:
-    """Index of the largest value along axis 1, the first of equal values.
-
-    Values travel with their places: XLA may compute a value again for another reader, with another rounding.
-    """
-    place = jnp.broadcast_to(jnp.arange(square.shape[1], dtype=square.dtype)[:, None, None], square.shape)
-    while (count := square.shape[1]) > 1:
-        half = (count + 1) // 2  # of an odd number, both halves hold the middle
-        ends = [jax.lax.slice_in_dim(x, i, i + half, axis=1) for x in (square, place) for i in (0, count - half)]
-        second = (ends[0] < ends[1]) | ((ends[0] == ends[1]) & (ends[3] < ends[2]))
-        square, place = jnp.where(second, ends[1], ends[0]), jnp.where(second, ends[3], ends[2])
-    return jax.lax.squeeze(place, (1,))
-
-
-_highest = _of_units(lambda square: folded(square, 1, by=jnp.maximum))
-_place = _of_units(_first)
 
 
 @record
@@ -152,18 +42,6 @@ class DynamicError(Record):
     amplitude: Array = field("rad", "complex amplitude of each line and output", shape=("orders", "outputs"))
     static: Array = field("rad", "transmission error at standstill", shape=("orders", "outputs"))
     peak_to_peak: Array = field("rad", "of all lines together, each output", shape=("outputs",))
-    outputs: tuple[str, ...] = text("names of the outputs")
-    info: SolveInfo = field("-", "residual of the solves; CONVERGED, SINGULAR, ...", kind="record")
-
-
-@record
-class SpeedSweep(Record):
-    """Lines of one unit over a range of speeds."""
-
-    order: Array = field("-", "n of each line, per output turn", shape=("orders",))
-    amplitude: Array = field("rad", "complex amplitude", shape=("speeds", "orders", "outputs"))
-    peak: Array = field("rad", "largest size of each line over the speeds", shape=("orders", "outputs"))
-    peak_speed: Array = field("rad/s", "speed of the sun at which it occurs", shape=("orders", "outputs"))
     outputs: tuple[str, ...] = text("names of the outputs")
     info: SolveInfo = field("-", "residual of the solves; CONVERGED, SINGULAR, ...", kind="record")
 
@@ -259,53 +137,3 @@ def curve_range(orders: Orders, amplitude: jax.Array) -> jax.Array:
     spectrum = jnp.zeros((samples // 2 + 1, amplitude.shape[1]), amplitude.dtype)
     curve = jnp.fft.irfft(spectrum.at[places].set(amplitude * (samples / 2)), samples, axis=0)
     return jnp.max(curve, axis=0) - jnp.min(curve, axis=0)
-
-
-@checked
-def speed_sweep(
-    design: RVReducer,
-    errors: RVErrors,
-    *,
-    sun_speeds: Array | np.ndarray,
-    load_inertia: Scalar = 0.0,
-    outputs: Sequence[str] = ("output.rotation",),
-    pin_harmonics: int = 8,
-) -> SpeedSweep:
-    """Lines of one unit over a range of speeds with their maxima; first order, one eigenproblem.
-
-    Args:
-        design: as in `transmission_error`.
-        errors: as in `transmission_error`.
-        sun_speeds: (speeds,) rad/s. A peak is found among these; at damping eta it is eta of its speed wide.
-        load_inertia: as in `transmission_error`.
-        outputs: as in `transmission_error`.
-        pin_harmonics: as in `error_excitation`.
-
-    Returns:
-        SpeedSweep; a status holds for all speeds together.
-
-    Raises:
-        ValueError: sun_speeds that are no row of numbers, or as `transmission_error`.
-    """
-    case, outputs = case_of(design, errors, pin_harmonics, load_inertia), check_outputs(outputs)
-    if np.ndim(sun_speeds) != 1 or np.shape(sun_speeds)[0] == 0:
-        raise ValueError(f"sun_speeds: shape {np.shape(sun_speeds)}, expected (speeds,), at least one")
-    return _sweep(case, sun_speeds, outputs, pin_harmonics)
-
-
-@partial(jax.jit, static_argnums=(2, 3))
-def _sweep(case: Case, sun_speeds: Array, outputs: tuple[str, ...], pin_harmonics: int) -> SpeedSweep:
-    unit, (speeds,) = read(case, sun_speeds)
-    orders = error_orders(unit, pin_harmonics)
-    n = jnp.asarray([float(order) for order in orders], speeds.dtype)
-    excitation, _ = generators(unit, orders, pin_harmonics)
-    frequency = output_speed(unit.lumped, speeds)[:, None] * n[None, :]
-    found = transfer(unit.lumped, frequency.ravel(), output_rows(unit.lumped, outputs))
-    value = found.value.reshape(*frequency.shape, *found.value.shape[1:])
-    rows, columns = factors(value, excitation)
-    real, imaginary = jnp.moveaxis(lines(rows, columns), (1, 2), (0, 1))
-    square = largest(rows, columns)
-    peak = root(square)
-    values = (n, jax.lax.complex(real, imaginary), peak, speeds[place_of_largest(rows, columns)])
-    (n, amplitude, peak, peak_speed), info = close(unit, values, peak, found)
-    return SpeedSweep(n, amplitude, peak, peak_speed, outputs, info)

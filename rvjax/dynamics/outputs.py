@@ -1,4 +1,4 @@
-"""Outputs of the dynamic model for studies."""
+"""Outputs and bench observations of the dynamic model for studies."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,25 +11,34 @@ from rvjax._jax.elementary import root
 from rvjax.catalogue import RV_320E
 from rvjax.designs import Damping, RVReducer
 from rvjax.dynamics.assembly import Lumped, loaded, lump
-from rvjax.dynamics.error_peaks import SpeedRange, speed_range
 from rvjax.dynamics.error_response import DynamicError, transmission_error
+from rvjax.dynamics.error_speeds import SpeedRange, speed_range
 from rvjax.dynamics.excitation import STAGES, mesh_frequency
 from rvjax.dynamics.modes import modes
-from rvjax.dynamics.observation import FREQUENCIES
 from rvjax.dynamics.periodic import periodic
 from rvjax.dynamics.response import METHODS, response
 from rvjax.dynamics.symmetry import KINDS
 from rvjax.errors import RVErrors
-from rvjax.outputs import Cases, Description, Output, Solved, Way, condition
+from rvjax.outputs import Cases, Description, Observation, Output, Solved, Way, condition
 from rvjax.records import Array, PyTree, Scalar
 from rvjax.units import rpm
 
+
+def _frequencies(design: RVReducer, errors: RVErrors, given: object) -> tuple[Array, Array]:
+    """Frequencies (n,) Hz, ascending, and mass-normalised shapes (n, n), one in each column."""
+    found = modes(errors.stiffened(design))
+    return found.frequency, found.shape
+
+
+FREQUENCIES = Observation("frequencies", _frequencies, ("inertia", "stiffness"))
+
+
 ROTATION = "output.rotation"
-Evaluate = Callable[[RVReducer, RVErrors, "Conditions"], Solved]
+Evaluate = Callable[[RVReducer, RVErrors, "DynamicConditions"], Solved]
 
 
 @dataclass(frozen=True)
-class Conditions:
+class DynamicConditions:
     """Speeds and load of a vibrating RV reducer; a speed is None only where no output needs it."""
 
     output_torque: float = condition(0.0, "torque of the discs on the carrier", unit="N m", torque=True)
@@ -48,7 +57,7 @@ class Conditions:
     method: str = condition("first_order", "of the vibration", choices=METHODS)
 
 
-def _vibration(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
+def _vibration(design: RVReducer, errors: RVErrors, given: DynamicConditions) -> Solved:
     """Root mean square of the output's rotation about its mean; the load on the output is the carrier's reversed."""
     found = response(
         _with_load(lump(errors.stiffened(design)), given),
@@ -63,7 +72,7 @@ def _vibration(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved
     return root(square), found.info.status
 
 
-def _resonance_margin(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
+def _resonance_margin(design: RVReducer, errors: RVErrors, given: DynamicConditions) -> Solved:
     """Least distance of the mesh frequency from the torsional modes, over the mode; < 0: a mode is within the range."""
     lumped = _with_load(lump(errors.stiffened(design)), given)
     found = modes(lumped)
@@ -78,14 +87,14 @@ def _resonance_margin(design: RVReducer, errors: RVErrors, given: Conditions) ->
     return jnp.where(jnp.isfinite(found.frequency[0]), margin, jnp.nan), found.info.status
 
 
-def _with_load(lumped: Lumped, given: Conditions) -> Lumped:
+def _with_load(lumped: Lumped, given: DynamicConditions) -> Lumped:
     return lumped if given.load_inertia is None else loaded(lumped, given.load_inertia)
 
 
 def _at_worst(at_speed: Callable[[DynamicError], Scalar], over_range: Callable[[SpeedRange], Scalar]) -> Evaluate:
     """Vibration that errors excite at `sun_speed`, or at the worst of the range of speeds where one is given."""
 
-    def evaluate(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
+    def evaluate(design: RVReducer, errors: RVErrors, given: DynamicConditions) -> Solved:
         options: dict[str, PyTree] = dict(load_inertia=given.load_inertia, pin_harmonics=given.pin_harmonics)
         ends: dict[str, PyTree] = dict(
             slowest_sun_speed=given.slowest_sun_speed, fastest_sun_speed=given.fastest_sun_speed
@@ -111,7 +120,7 @@ def _acceleration(found: DynamicError) -> jax.Array:
     return root(square)
 
 
-def _standing(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
+def _standing(design: RVReducer, errors: RVErrors, given: DynamicConditions) -> Solved:
     found = transmission_error(errors.stiffened(design), errors, sun_speed=0.0, pin_harmonics=given.pin_harmonics)
     return found.peak_to_peak[0], found.info.status
 
@@ -174,7 +183,7 @@ def _cases(quick: bool) -> Sequence[Cases]:
 DESCRIPTION = Description(
     name="dynamics",
     design=RVReducer,
-    conditions=Conditions,
+    conditions=DynamicConditions,
     outputs={
         "vibration": Output(
             "rad", "root mean square rotation of the output about its mean", _vibration, ("sun_speed",), "arcsec"

@@ -16,11 +16,9 @@ from rvjax._jax.varying import scan
 from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted, lump, spring_table
-from rvjax.dynamics.excitation import MESH, check_stage, mesh_frequency, mesh_phases
-from rvjax.dynamics.harmonics import OUTPUTS, output_indices
-from rvjax.dynamics.linear import solve
-from rvjax.dynamics.modal import ModalSector, matrix_root, modal_sectors
-from rvjax.dynamics.static import linear_ratio, mesh_stiffness
+from rvjax.dynamics.excitation import MESH, OUTPUTS, check_stage, mesh_frequency, mesh_phases, output_indices
+from rvjax.dynamics.modes import ModalSector, matrix_root, modal_sectors
+from rvjax.dynamics.static import linear_ratio, mesh_stiffness, solve
 from rvjax.records import Array, PyTree, Record, Scalar, concrete, field, record, text
 from rvjax.status import Gate, SolveInfo, Status, at_once, converged
 

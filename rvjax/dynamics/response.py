@@ -1,87 +1,30 @@
-"""Steady response to the periodic mesh stiffness of one stage, per mesh harmonic.
+"""Steady response to the periodic mesh stiffness of one stage, per mesh harmonic, and its sensitivities.
 
-First-order response: the stiffness variation acts on the mean deflection only (Eqs. 5 to 9).
+A sensitivity is the derivative of one amplitude to every number of a design, through the solves; `with_deviations`
+changes such numbers by shares of themselves, for tolerances and what-if questions.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from rvjax._ground.choices import choose
 from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer
-from rvjax.dynamics.assembly import Lumped, admitted, lump, spring_table
-from rvjax.dynamics.excitation import MESH, check_stage, mesh_frequency, phases, wave_coefficients
-from rvjax.dynamics.harmonic_balance import solve_cyclic, solve_mesh
-from rvjax.dynamics.harmonics import (
+from rvjax.dynamics.assembly import Lumped, admitted, lump
+from rvjax.dynamics.excitation import (
     OUTPUTS,
-    Solved,
-    constants,
-    in_order,
+    check_stage,
+    mesh_frequency,
     output_indices,
-    resonance_distance,
-    shares,
-    unfold,
 )
-from rvjax.dynamics.modal import dynamic_stiffness, modal_sectors, modal_solve, on_resonance, residual
-from rvjax.dynamics.static import Torques, balancing_torque, mean_state, mesh_rows, mesh_stiffness, torque_kind
-from rvjax.dynamics.symmetry import is_symmetric, sector
-from rvjax.records import Array, Record, Scalar, field, record, text
+from rvjax.dynamics.harmonic_balance import solve_cyclic, solve_first_order, solve_mesh
+from rvjax.dynamics.static import Torques, balancing_torque
+from rvjax.dynamics.symmetry import is_symmetric
+from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record, text
 from rvjax.status import SolveInfo, Status, converged
-
-
-def solve_first_order(
-    lumped: Lumped, w: Array, torques: Torques, stage: str, harmonics: int, indices: np.ndarray, freeze_forcing: bool
-) -> Solved:
-    """Amplitudes of the coordinates `indices` at signed mesh frequency `w`, rad/s.
-
-    `freeze_forcing` keeps the forces on the physical coordinates out of the derivatives.
-    """
-    mesh, kind = MESH[stage], torque_kind(lumped)
-    state = mean_state(lumped, kind, *torques)
-    mean = state.solution[:, 0]
-    force = mesh_stiffness(lumped, mesh) * (mesh_rows(lumped, mesh, kind) @ mean)
-    coefficients = wave_coefficients(lumped, stage, harmonics)
-
-    used = [
-        share
-        for share in shares(lumped, stage, harmonics)
-        if np.any(sector(lumped.cranks, lumped.discs, *share.key).basis[indices])
-    ]
-    sectors = modal_sectors(lumped, [share.key for share in used])
-    rows, distances, singular, misses = [], [], [state.singular], [state.residual]
-    for key, orders in used:
-        modal = sectors[key]
-        frequency = jnp.asarray(orders, w.dtype) * w
-        z = dynamic_stiffness(lumped, frequency)
-        # Eqs. 6 and 7: Z_l B_l = -a_l sum_i e^{i l ph_i} f_i v_i
-        weights = -coefficients[np.abs(orders) - 1][:, None] * force[None, :]
-        waves = constants(phases(lumped, stage, orders), w) * weights.astype(constants(0, w).dtype)
-        if freeze_forcing:
-            physical = waves @ mesh_rows(lumped, mesh, *key).conj().astype(waves.dtype)
-            rhs = jax.lax.stop_gradient(physical) @ modal.transform.conj().astype(waves.dtype)
-        else:
-            members = spring_table(lumped.cranks, lumped.discs).of(mesh)
-            rhs = waves @ modal.springs[members].conj().astype(waves.dtype)
-        solution = modal_solve(modal, z, rhs[:, :, None])
-        rows.append(unfold(orders, solution[:, :, 0] @ modal.rows(indices).T.astype(waves.dtype)))
-        distances.append(resonance_distance(modal, frequency))
-        singular.append(on_resonance(modal, z))
-        misses.append(residual(modal, z, solution, rhs[:, :, None]))
-
-    orders_used = [share.harmonics for share in used]
-    basis = sector(lumped.cranks, lumped.discs, kind).basis
-    return Solved(
-        amplitude=in_order(orders_used, rows, harmonics, constants(np.zeros(len(indices)), w)),
-        mean=jnp.asarray(basis[indices], mean.dtype) @ mean,
-        distance=in_order(orders_used, distances, harmonics, jnp.full((), jnp.inf, w.dtype)),
-        singular=jnp.any(jnp.stack(singular)),
-        residual=jnp.max(jnp.stack(misses)),
-    )
-
 
 METHODS = ("first_order", "harmonic_balance")
 
@@ -218,3 +161,100 @@ def _response(
         info=converged(solved.residual),
     )
     return Response(frequency, amplitude, mean, distance, outputs, form, info)
+
+
+def with_deviations(design: RVReducer | Lumped, deviations: Mapping[str, PyTree]) -> PyTree:
+    """Return a design some of whose numbers deviate by a share of themselves: x (1 + deviation).
+
+    The names serve as names of tolerances: `monte_carlo(lambda d: f(with_deviations(design, d)),
+    {"stiffness.disc_pin_mesh": Tolerance.symmetric(0.1)}, ...)`.
+
+    Args:
+        design: a reducer, or its lumped parameters.
+        deviations: {field: deviation}, fields such as "stiffness.disc_pin_mesh" or "inertia.planet_mass"; a scalar
+            for all members alike, or an array of the shape of the field, one for each member.
+
+    Raises:
+        ValueError: a name that is no number of this design.
+    """
+    for name, deviation in deviations.items():
+        design = _replaced(design, name.split("."), name, deviation)
+    return design
+
+
+def _replaced(part: PyTree, path: list[str], name: str, deviation: Scalar) -> PyTree:
+    value = getattr(part, path[0], None) if isinstance(part, Record) else None
+    if len(path) > 1 and isinstance(value, Record):
+        return part.replace(**{path[0]: _replaced(value, path[1:], name, deviation)})
+    numbers = jax.tree_util.tree_flatten_with_path(part)[0] if isinstance(part, Record) else []
+    names = [key[0].name for key, _ in numbers if len(key) == 1]
+    if len(path) > 1 or path[0] not in names:
+        raise ValueError(f"deviations: {name!r} is no number of this design; {type(part).__name__} has {names}")
+    # A float stays one: its dtype then follows the other numbers.
+    value, deviation = (x if isinstance(x, float) else jnp.asarray(x) for x in (value, deviation))
+    return part.replace(**{path[0]: value * (1 + deviation)})
+
+
+FORMULAS = {"total": response, "constant_forcing": constant_forcing}
+
+
+@checked
+def log_sensitivities(
+    design: RVReducer | Lumped,
+    *,
+    sun_speed: Scalar,
+    output_torque: Scalar,
+    stage: str = "planetary",
+    harmonics: int = 9,
+    outputs: Sequence[str] = OUTPUTS,
+    formula: str = "total",
+) -> dict[str, jax.Array]:
+    """Relative change of each first-order amplitude B for a relative change of each number: (xi / B) dB/dxi.
+
+    Args:
+        design: a reducer, whose eccentricity moves the rolling radius of the discs along, or its lumped
+            parameters, where the two vary apart.
+        sun_speed: () rad/s.
+        output_torque: external torque on the output, () N m.
+        stage: whose meshes vary: "planetary" or "cycloid".
+        harmonics: of the mesh frequency, H.
+        outputs: k names from `assemble(design).labels`.
+        formula: "total", or "constant_forcing" as Eq. 14 of Yang et al. 2018.
+
+    Returns:
+        {field: (H, k) complex}, fields such as "stiffness.sun_support"; the real part is the relative change of
+        |B|. Zero for an output that a harmonic does not excite. A field that holds an array adds its axes.
+
+    Raises:
+        ValueError: unknown formula, or as `response`.
+    """
+    choose("formula", formula, FORMULAS)
+    return _log_sensitivities(design, sun_speed, output_torque, stage, harmonics, tuple(outputs), formula)
+
+
+@partial(jax.jit, static_argnums=(3, 4, 5, 6))
+def _log_sensitivities(
+    design: PyTree,
+    sun_speed: Array,
+    output_torque: Array,
+    stage: str,
+    harmonics: int,
+    outputs: tuple[str, ...],
+    formula: str,
+) -> dict[str, jax.Array]:
+    design = promote(design)
+    conditions = dict(sun_speed=sun_speed, output_torque=output_torque)
+
+    def amplitude(changed: PyTree) -> tuple[jax.Array, jax.Array]:
+        found = FORMULAS[formula](changed, **conditions, stage=stage, harmonics=harmonics, outputs=outputs).amplitude
+        return found, found
+
+    slopes, value = jax.jacfwd(amplitude, has_aux=True)(design)
+    divisor = jnp.where(value == 0, 1, value)
+    paths, _ = jax.tree.flatten_with_path(slopes)
+    found = {}
+    for (path, slope), number in zip(paths, jax.tree.leaves(design)):
+        factor = jnp.broadcast_to(number, slope.shape).astype(value.dtype)
+        beside = jnp.expand_dims(divisor, range(2, slope.ndim))
+        found[jax.tree_util.keystr(path, simple=True, separator=".")] = factor * slope / beside
+    return found

@@ -11,8 +11,7 @@ equations are unnumbered; here (S1) is the closure, (S2) its quadratic, (S4) the
 
 from rvjax.four_bar.extremes import Figures
 from rvjax.four_bar.linkage import Closure, LinkDeviations, solve_closure
-from rvjax.four_bar.reducer import TransmissionError, transmission_error
-from rvjax.four_bar.revolution import Revolution, figures, revolution
+from rvjax.four_bar.reducer import Revolution, TransmissionError, figures, revolution, transmission_error
 
 __all__ = [
     "Closure",

@@ -1,24 +1,62 @@
-"""Outputs of the four-bar model for studies."""
+"""Outputs and bench observations of the four-bar model for studies."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
+
+import jax
+import jax.numpy as jnp
 
 from rvjax.catalogue import RV_40E
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.four_bar.linkage import ALLOWED
-from rvjax.four_bar.observation import CURVE
-from rvjax.four_bar.revolution import figures, revolution
-from rvjax.outputs import KNOWN_ERROR, Cases, Curve, Description, Output, Solved, Way, condition
-from rvjax.records import Array, PyTree
+from rvjax.four_bar.reducer import figures, harmonics, revolution
+from rvjax.outputs import KNOWN_ERROR, Cases, Curve, Description, Observation, Output, Solved, Spectrum, Way, condition
+from rvjax.records import Array, PyTree, Scalar
 from rvjax.units import arcmin, um
+
+
+class Ways(Protocol):
+    """Conditions that select how a turn of the cranks is computed."""
+
+    @property
+    def angles(self) -> int: ...
+    @property
+    def cranks(self) -> str: ...
+    @property
+    def gear_stiffness_ratio(self) -> float | None: ...
+    @property
+    def closure(self) -> str | None: ...
+
+
+def _spectrum(
+    design: RVReducer, errors: RVErrors, given: Ways, torques: Array | None, orders: tuple[int, ...], alike: bool
+) -> Spectrum:
+    """Crank revolutions are equal, so only multiples of the pin count are not zero."""
+    pins = design.cycloid.pin_count
+
+    def turn(torque: Scalar) -> Array:
+        ways: dict[str, PyTree] = dict(
+            cranks=given.cranks, gear_stiffness_ratio=given.gear_stiffness_ratio, closure=given.closure
+        )
+        return harmonics(design, errors, output_torque=torque, angles=given.angles, **ways)
+
+    waves = turn(0.0)[None] if torques is None else jax.vmap(turn)(torques)
+    # The cranks turn against the output: X e^(i h crank) is conj(X) e^(i h pins output). A failed turn stays NaN.
+    found = [jnp.conj(waves[:, k // pins]) if k % pins == 0 else 0 * waves[:, 0] for k in orders]
+    return jnp.real(waves[:, 0]), jnp.stack(found, axis=1)
+
+
+CURVE = Observation("curve", _spectrum, samples="angles", period=lambda design: int(design.cycloid.pin_count))
+
 
 CLOSURES = tuple(dict.fromkeys(closure for allowed in ALLOWED.values() for closure in allowed))
 CRANKS = tuple(dict.fromkeys(cranks for cranks, _ in ALLOWED))
 
 
 @dataclass(frozen=True)
-class Conditions:
+class FourBarConditions:
     """Operating conditions of the second stage of an RV reducer."""
 
     output_torque: float = condition(0.0, "torque of the discs on the carrier", unit="N m", torque=True)
@@ -28,23 +66,23 @@ class Conditions:
     closure: str | None = condition(None, "of the crank linkages; the exact one by default", choices=CLOSURES)
 
 
-def _turn(given: Conditions, *, loaded: bool = True) -> dict[str, PyTree]:
+def _turn(given: FourBarConditions, *, loaded: bool = True) -> dict[str, PyTree]:
     torque = given.output_torque if loaded else 0.0
     ways = dict(cranks=given.cranks, gear_stiffness_ratio=given.gear_stiffness_ratio, closure=given.closure)
     return dict(ways, angles=given.angles, output_torque=torque)
 
 
-def _transmission_error(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
+def _transmission_error(design: RVReducer, errors: RVErrors, given: FourBarConditions) -> Solved:
     found = figures(design, errors, **_turn(given), only="error")
     return found.peak_to_peak, found.info.status
 
 
-def _misfit(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
+def _misfit(design: RVReducer, errors: RVErrors, given: FourBarConditions) -> Solved:
     found = figures(design, errors, **_turn(given, loaded=False), only="misfit")
     return found.largest_misfit, found.info.status
 
 
-def _curve(design: RVReducer, errors: RVErrors, given: Conditions) -> tuple[Array, Array]:
+def _curve(design: RVReducer, errors: RVErrors, given: FourBarConditions) -> tuple[Array, Array]:
     loaded = design.cranks.bearing_stiffness is not None  # a study of the misfit alone needs none
     found = revolution(design, errors, **_turn(given, loaded=loaded))
     return found.crank_angle, found.error
@@ -98,7 +136,7 @@ def _cases_of(output: str, unit: str, quick: bool) -> Cases:
 DESCRIPTION = Description(
     name="four_bar",
     design=RVReducer,
-    conditions=Conditions,
+    conditions=FourBarConditions,
     outputs={
         "transmission_error": Output(
             "rad",

@@ -1,7 +1,7 @@
-"""Parameters of one reducer that determine the position of its discs.
+"""Parameters of one reducer that determine the position of its discs, and the load on its crank pins.
 
 Axes of cranks and discs are unrolled into lists: a batch of units then sees element-wise arithmetic
-only, which XLA turns into a few vector loops.
+only, which XLA turns into a few vector loops. Under load, clearance and bearings let the crank pins move.
 """
 
 import math
@@ -14,12 +14,67 @@ import numpy as np
 from rvjax._jax.elementary import LARGEST_ANGLE
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
-from rvjax.four_bar import forces
 from rvjax.four_bar.closures import Crank
 from rvjax.records import Array, PyTree, Scalar, broadcast_fields, is_concrete, promote
 from rvjax.status import Check, Gate, Status, admit, window
 
 Vector = tuple[Any, Any]
+
+
+class DiscLoad(NamedTuple):
+    """Load of one disc on the carrier, per disc."""
+
+    tangential: jax.Array  # Fv, along the direction of motion of the disc centre, N
+    radial: jax.Array  # Fu, along the eccentric direction, N
+    torque: jax.Array  # Tc, couple on the crank pins, N m
+
+
+def pin_load_ratio(shortening: jax.Array) -> jax.Array:
+    """kappa: radial over tangential pin load, half the pins in contact, loaded by lever arm; 0 < K1 < 1.
+
+    The forces of the pins meet in the pitch point. A power series replaces the closed form where that
+    would cancel.
+    """
+    small = shortening < 0.4
+    k = jnp.where(small, shortening, 0.2)
+    series = jnp.zeros_like(k)
+    for n in range(20, 0, -1):
+        series = series * k**2 + 1 / (4 * n**2 - 1)
+    k1 = jnp.where(small, 0.5, shortening)
+    closed = 1 / k1 - (1 - k1**2) / k1**2 * jnp.arctanh(k1)
+    return jnp.where(small, 4 / jnp.pi * k * series, 2 / jnp.pi * closed)
+
+
+def disc_load(design: RVReducer, eccentricity: Array, shortening: Array, torque: jax.Array) -> DiscLoad:
+    """Share of one disc in the torque that all discs exert on the carrier; only counts are read from `design`."""
+    cycloid, ratio = design.cycloid, design.involute.sun_teeth / design.involute.planet_teeth
+    tangential = torque / (cycloid.disc_count * eccentricity * (cycloid.pin_count + ratio))  # ratio: the sun reacts
+    return DiscLoad(
+        tangential=tangential,
+        radial=pin_load_ratio(shortening) * jnp.abs(tangential),
+        torque=eccentricity * cycloid.disc_teeth * tangential,
+    )
+
+
+def pin_force(load: DiscLoad, crank: Crank, tangent: Vector, count: int, radius: Array) -> Vector:
+    """Force of a disc on one of `count` crank pins; `crank` is the disc's eccentric direction."""
+    couple = load.torque / (count * radius)
+    return (
+        (load.radial * crank.cosine - load.tangential * crank.sine) / count + couple * tangent[0],
+        (load.radial * crank.sine + load.tangential * crank.cosine) / count + couple * tangent[1],
+    )
+
+
+def joint_shift(force: Vector, clearance: Scalar, stiffness: Scalar) -> Vector:
+    """Bore against pin: the clearance taken up in the direction of the load, and the elastic approach.
+
+    No load takes up no clearance: T = 0 is a jump of the clearance part, whose derivatives there are zero.
+    """
+    square = force[0] ** 2 + force[1] ** 2
+    loaded = square > 0
+    size = jnp.sqrt(jnp.where(loaded, square, 1))
+    unit = tuple(jnp.where(loaded, part / size, 0) for part in force)
+    return unit[0] * clearance + force[0] / stiffness, unit[1] * clearance + force[1] / stiffness
 
 
 class Stage(NamedTuple):
@@ -53,7 +108,7 @@ class Unit(NamedTuple):
     radius: Array
     axes: list[Vector]  # [i] radial unit vectors
     parts: Parts
-    load: forces.DiscLoad | None  # None: unloaded
+    load: DiscLoad | None  # None: unloaded
     stiffness: Array
     gate: Gate
 
@@ -66,8 +121,8 @@ class Unit(NamedTuple):
         if self.load is None:
             return [(0, 0)] * len(self.axes)
         tangents = [(-y, x) for x, y in self.axes]
-        pins = [forces.pin_force(self.load, crank, tangent, len(self.axes), self.radius) for tangent in tangents]
-        return [forces.joint_shift(force, self.parts.clearance, self.stiffness) for force in pins]
+        pins = [pin_force(self.load, crank, tangent, len(self.axes), self.radius) for tangent in tangents]
+        return [joint_shift(force, self.parts.clearance, self.stiffness) for force in pins]
 
 
 def is_loaded(design: RVReducer, output_torque: Scalar) -> bool:
@@ -83,7 +138,7 @@ def is_loaded(design: RVReducer, output_torque: Scalar) -> bool:
 
 
 def take_apart(
-    design: RVReducer, errors: RVErrors, output_torque: Array, *others: PyTree, loaded: bool
+    design: RVReducer, errors: RVErrors, output_torque: Array, *others: object, loaded: bool
 ) -> tuple[PyTree, ...]:
     """Return the unit, and `others` in its dtype. An impossible case becomes a nominal unit.
 
@@ -104,7 +159,7 @@ def take_apart(
         radius=stage.radius,
         axes=[exact_direction(count + 2 * i, count) for i in range(count)],  # pi + 2 pi i / c
         parts=parts,
-        load=forces.disc_load(design, stage.eccentricity, stage.shortening, stage.torque) if loaded else None,
+        load=disc_load(design, stage.eccentricity, stage.shortening, stage.torque) if loaded else None,
         stiffness=stage.stiffness,
         gate=gate,
     )
@@ -151,7 +206,7 @@ def exact_direction(halves: int, count: int) -> Vector:
     return math.cos(math.pi * halves / count), math.sin(math.pi * halves / count)
 
 
-def _unstack(array: jax.Array) -> PyTree:
+def _unstack(array: jax.Array) -> list[Any]:
     """Nested lists of scalars. A split, unlike indexing, is transposed into one concatenation."""
     items: list[Any] = [part.reshape(()) for part in jax.lax.split(array.reshape(-1), (1,) * array.size)]
     for size in array.shape[:0:-1]:

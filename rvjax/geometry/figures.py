@@ -1,5 +1,7 @@
-"""Figures of a design without errors, from closed forms."""
+"""Figures of a design without errors, from closed forms: RV reducers and single-stage drives."""
 
+import functools
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -11,10 +13,82 @@ import numpy as np
 from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import InvoluteStage, RVReducer, expect
-from rvjax.geometry.drive import of_drive
-from rvjax.geometry.ring import Figures as Figures, harmless, material, of_ring, of_steel
+from rvjax.geometry.ring import Figures as Figures, harmless, material, of_ring, of_steel, root, squared_pressure
 from rvjax.records import Array, PyTree, Scalar, promote
 from rvjax.status import Status, admit
+
+
+def of_drive(design: CycloidalReducer, output_torque: Scalar) -> Figures:
+    """Figures of a single-stage drive, as `figures` returns them.
+
+    Args:
+        design: cycloid stage, output pins and contact are read.
+        output_torque: () N m.
+    """
+    return _drive_figures((design.cycloid, design.output, design.contact, design.carrier_factor * output_torque))
+
+
+@functools.partial(jax.jit, inline=True)
+def _drive_figures(read: PyTree) -> Figures:
+    """Of the cycloid stage, output pins, contact and torque of the carrier."""
+    cycloid, output, contact, torque = read
+    unread: dict[str, None] = dict(pin_stiffness=None, pin_support=None)
+    cycloid, output = cycloid.replace(shortening=None, force_angle=0.0, disc_phase=0.0), output.replace(**unread)
+    read = promote((cycloid, output, contact and contact.replace(**unread), torque))
+    cycloid, output, contact, torque = read
+    k1 = cycloid.shortening_coefficient
+    finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(read)]))
+    positive = [cycloid.eccentricity, cycloid.pin_circle_radius, cycloid.pin_radius, *material(contact)]
+    positive += [output.circle_radius, output.pin_radius, cycloid.eccentricity + output.hole_clearance / 2]
+    possible = (k1 > 0) & (k1 < 1) & jnp.all(jnp.stack(positive) > 0)
+    checks = (~finite, Status.NONFINITE), (~possible, Status.INVALID_GEOMETRY)
+    (cycloid, output, contact, torque), gate = admit(read, _harmless_drive(read), *checks)
+
+    each = jnp.abs(torque) / cycloid.disc_count  # of the carrier on one disc
+    found, pressure, info = of_ring(cycloid, contact, each, gate)
+    e, circle, pin = cycloid.eccentricity, output.circle_radius, output.pin_radius
+    room = e + output.hole_clearance / 2  # hole radius less pin radius
+    hole = pin + room
+    across = each / (e * cycloid.disc_teeth)
+    along = 2 / jnp.pi * across * _ring_share(cycloid.shortening_coefficient) - 4 * each / (jnp.pi * circle)  # Eq. 16
+    own: dict[str, Any] = dict(
+        hole_gap=2 * (circle * math.sin(math.pi / output.count) - hole),
+        hole_wall=cycloid.pin_circle_radius - cycloid.pin_radius - e - circle - hole,
+        eccentric_force=root(across**2 + along**2),
+        hole_pressure=None,
+    )
+    if contact is not None:
+        force = each / circle * largest_share(output.count)
+        own["hole_pressure"] = root(force * squared_pressure(contact) * room / (pin * hole))  # 1/R* = 1/rw - 1/rh
+    own, _ = gate.close(own)
+    return Figures(**found, **own, pin_pressure=pressure, info=info, crank_room=None, contact_ratio=None, mass=None)
+
+
+def _ring_share(k1: Array) -> Array:
+    """I of Eq. 16: force of the ring along the eccentric, over 2 T/(pi e zc)."""
+    return (1 - (1 - k1**2) / (2 * k1) * jnp.log((1 + k1) / (1 - k1))) / k1
+
+
+@functools.cache
+def largest_share(pins: int) -> float:
+    """Largest force of an output pin over a turn, rigid discs, over T/Rw: 4/n for an even number. Eq. 17.
+
+    Args:
+        pins: output pins, n.
+    """
+    place, step = 0.0, 2 * math.pi / pins / 4096
+    for grid in (step * np.arange(4096), step * np.linspace(-1, 1, 4097)):
+        positive = np.maximum(np.sin(place + grid[:, None] + 2 * np.pi * np.arange(pins) / pins), 0)
+        shares = positive.max(axis=1) / np.sum(positive**2, axis=1)
+        place += grid[np.argmax(shares)]
+    return float(shares.max())
+
+
+def _harmless_drive(read: PyTree) -> PyTree:
+    """A drive that exists, in the place of one that does not."""
+    cycloid, output, contact, torque = jax.tree.map(jnp.ones_like, read)
+    contact = contact and of_steel(contact)
+    return harmless(cycloid), output.replace(circle_radius=0.5, pin_radius=0.1, hole_clearance=0.01), contact, torque
 
 
 @checked
@@ -50,7 +124,7 @@ def _of_rv(design: RVReducer, output_torque: Scalar) -> Figures:
         )
     contact = design.contact and design.contact.replace(pin_stiffness=None, pin_support=None)
     read = design.involute, cycloid, design.cranks.replace(bearing_stiffness=None), contact, _masses(design)
-    return _figures((*read, output_torque))
+    return _rv_figures((*read, output_torque))
 
 
 _KINDS: dict[type, Callable[[Any, Scalar], Figures]] = {RVReducer: _of_rv, CycloidalReducer: of_drive}
@@ -67,7 +141,7 @@ def _masses(design: RVReducer) -> list[Any] | None:
 
 
 @partial(jax.jit, inline=True)
-def _figures(read: PyTree) -> Figures:
+def _rv_figures(read: PyTree) -> Figures:
     read = promote(read)
     gears, cycloid, cranks, contact, masses, torque = read
     k1, circle = cycloid.shortening_coefficient, cranks.circle_radius
@@ -77,7 +151,7 @@ def _figures(read: PyTree) -> Figures:
     positive += material(contact)
     possible = (k1 > 0) & (k1 < 1) & jnp.all(jnp.stack(positive) > 0) & (jnp.cos(gears.pressure_angle) > 0)
     checks = (~finite, Status.NONFINITE), (~possible, Status.INVALID_GEOMETRY)
-    (gears, cycloid, cranks, contact, masses, torque), gate = admit(read, _harmless(read), *checks)
+    (gears, cycloid, cranks, contact, masses, torque), gate = admit(read, _harmless_rv(read), *checks)
 
     pins, circle = cycloid.pin_count, cranks.circle_radius
     ring, pin = cycloid.pin_circle_radius, cycloid.pin_radius
@@ -93,7 +167,7 @@ def _figures(read: PyTree) -> Figures:
     return Figures(**found, **own, pin_pressure=pressure, info=info)
 
 
-def _harmless(read: PyTree) -> PyTree:
+def _harmless_rv(read: PyTree) -> PyTree:
     """A reducer that exists, in the place of one that does not."""
     gears, cycloid, _, contact, *_ = ones = jax.tree.map(jnp.ones_like, read)
     gears = gears.replace(sun_base_radius=0.3, planet_base_radius=0.6, pressure_angle=0.35)

@@ -15,14 +15,14 @@ from rvjax.status import Status
 
 
 @dataclass(frozen=True)
-class Conditions:
+class GeometryConditions:
     """Load of the nominal contact pressure."""
 
     output_torque: float = condition(0.0, "torque of the discs on the carrier", unit="N m", torque=True)
 
 
 @dataclass(frozen=True)
-class DriveConditions:
+class DriveGeometryConditions:
     """Load of the nominal contact pressures of a single-stage drive."""
 
     output_torque: float = condition(0.0, "torque of the discs on the output", unit="N m", torque=True)
@@ -63,7 +63,7 @@ def _figure(unit: str, meaning: str, name: str, read_in: str | None = None, part
 DESCRIPTION = Description(
     name="geometry",
     design=RVReducer,
-    conditions=Conditions,
+    conditions=GeometryConditions,
     outputs={
         "shortening": _figure("-", "shortening coefficient K1", "shortening"),
         "convex_radius": _figure("m", "least radius of the convex flank, <= 0: undercut", "convex_radius", "mm"),
@@ -86,7 +86,7 @@ OTHERS = (
     Description(
         name="geometry",
         design=CycloidalReducer,
-        conditions=DriveConditions,
+        conditions=DriveGeometryConditions,
         outputs={name: DESCRIPTION.outputs[name] for name in (*_SHARED, "nominal_pin_pressure")}
         | {
             "nominal_hole_pressure": _figure(

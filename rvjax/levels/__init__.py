@@ -1,7 +1,6 @@
 """Speed against accuracy, measured: every level of every model against its exact one, and the cheapest that holds."""
 
-from rvjax.levels.choice import Choice, as_given, choose
-from rvjax.levels.equilibria import seconds, sources_of
+from rvjax.levels.choice import Choice, as_given, choose, seconds, sources_of
 from rvjax.levels.measure import measure, measure_model, measured
 from rvjax.levels.table import (
     Level as Level,

@@ -1,16 +1,23 @@
-"""Level of a model for a study: the cheapest that is measured to be accurate enough."""
+"""Level of a model for a study: the cheapest that is measured to be accurate enough, and the time of its equilibria.
+
+The run time of any study of the loaded reducer follows from the measured time of its equilibria.
+"""
 
 import dataclasses
 import math
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib import resources
 from typing import Any
 
 import numpy as np
 
+from rvjax import models
 from rvjax._ground.choices import unknown
 from rvjax.levels.table import Model, Table, stored
-from rvjax.outputs import torque_of
+from rvjax.outputs import Reading, Source, torque_of
 from rvjax.population import Tolerance
 from rvjax.records import Design, PyTree, Record, Scalar, is_concrete
 from rvjax.units import readable, with_unit
@@ -261,3 +268,51 @@ def design_numbers(design: PyTree, prefix: str = "") -> dict[str, float]:
             else:
                 found[path] = float(value) if is_concrete(value) and np.ndim(value) == 0 else math.nan
     return found
+
+
+@cache
+def equilibrium_times() -> dict[str, Any]:
+    """Times of `equilibria.toml`: microseconds by kind of reducer, use and contact law, and the computer."""
+    return tomllib.loads((resources.files("rvjax.levels") / "equilibria.toml").read_text("utf-8"))
+
+
+def sources_of(design: PyTree, output: str) -> tuple[Source, ...]:
+    """Results that an output reads, if the number of equilibria of each is known, else none.
+
+    Args:
+        design: the reducer.
+        output: name.
+    """
+    kind = models.kind(design)
+    evaluate = kind.outputs[output].evaluate
+    sources = evaluate.sources if isinstance(evaluate, Reading) else ()
+    return sources if all(source in kind.work for source in sources) else ()
+
+
+def seconds(design: PyTree, results: Iterable[tuple[Source, Any]]) -> float | None:
+    """Seconds of a unit on the cores of the measurement, None for a kind of equilibrium that was not measured.
+
+    Time is in proportion to the pins of all discs, output pins among them.
+
+    Args:
+        design: the reducer.
+        results: each with the conditions under which it is computed.
+    """
+    kind, table, total = models.kind(design), equilibrium_times().get(design.kind, {}), 0.0
+    for source, given in results:
+        name, count = kind.work[source](given)
+        each = table.get(name, {}).get(given.pin_contact)
+        if each is None:
+            return None
+        total += 1e-6 * each * count * contacts(design) / table["contacts"]
+    return total / equilibrium_times()["measured_on"]["cores"]
+
+
+def contacts(design: PyTree) -> int:
+    """Pins and output pins that touch the discs, counted for each disc.
+
+    Args:
+        design: counts are read.
+    """
+    counts = design.counts
+    return int(counts["discs"] * (counts["pins"] + counts.get("output_pins", 0)))

@@ -3,16 +3,9 @@
 ISO 281 (rating, life), ISO 76 (static), ISO/TS 16281 (laminae): docs/models/life.md.
 """
 
-from rvjax.life.angles import check_angles as check_angles, input_angles as input_angles
 from rvjax.life.bearing import BearingLife, bearing_life
-from rvjax.life.causes import (
-    crank_order as crank_order,
-    first_failures as first_failures,
-    force_orders as force_orders,
-    phase_shares as phase_shares,
-)
-from rvjax.life.duty import Duty
-from rvjax.life.histories import magnitude as magnitude
+from rvjax.life.damage import dynamic_rating, magnitude as magnitude, static_rating
+from rvjax.life.duty import Duty, TurnPlan as TurnPlan
 from rvjax.life.machine import (
     check_alone as check_alone,
     check_places as check_places,
@@ -20,8 +13,14 @@ from rvjax.life.machine import (
     tapered as tapered,
 )
 from rvjax.life.rated import RatedTorque, rated_torque
-from rvjax.life.rating import Rating, rating
-from rvjax.life.ratings import dynamic_rating, static_rating
+from rvjax.life.rating import (
+    Rating,
+    crank_order as crank_order,
+    first_failures as first_failures,
+    force_orders as force_orders,
+    phase_shares as phase_shares,
+    rating,
+)
 
 __all__ = [
     "BearingLife",

@@ -18,8 +18,22 @@ from rvjax._jax.varying import scan
 from rvjax._reducer.bearings import RollerBearing
 from rvjax._reducer.plausible import checked
 from rvjax.designs import expect
-from rvjax.life.histories import LIFE, METHODS, WEIBULL, Damage, basic, magnitude, points, raceway, turned_back
-from rvjax.life.ratings import Ratings, check_ratings, harmless, ratings, unfit
+from rvjax.life.damage import (
+    LIFE,
+    METHODS,
+    WEIBULL,
+    Damage,
+    Ratings,
+    basic,
+    check_ratings,
+    harmless,
+    magnitude,
+    points,
+    raceway,
+    ratings,
+    turned_back,
+    unfit,
+)
 from rvjax.records import Array, Record, Scalar, concrete, field, promote, quantity, record
 from rvjax.roots import bracketed
 from rvjax.status import SolveInfo, Status, succeeded, worst_of

@@ -20,14 +20,11 @@ from rvjax.catalogue import RV_40E, part_class
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors, read_by
-from rvjax.life.angles import input_angles
-from rvjax.life.duty import Duty
-from rvjax.life.histories import METHODS
-from rvjax.life.kinds import kind_of
+from rvjax.life.damage import METHODS, check_ratings, static_rating
+from rvjax.life.duty import Duty, kind_of
 from rvjax.life.machine import check_alone, check_places, check_plan
 from rvjax.life.rated import RatedTorque, rated_torque
 from rvjax.life.rating import Rating, by_forces, rating, under
-from rvjax.life.ratings import check_ratings, static_rating
 from rvjax.loaded import (
     CONTACTS,
     MACHINE,
@@ -42,7 +39,6 @@ from rvjax.loaded import (
     turn,
     turns_of,
     ways,
-    without_sun,
 )
 from rvjax.outputs import Cases, Description, Joint, Output, Reading, Solved, Usual, Way, condition
 from rvjax.records import PyTree
@@ -85,7 +81,7 @@ COLUMNS = {"output_torque": "N m", "output_speed": "rad/s", "time": "s"}
 
 
 @dataclass(frozen=True)
-class Conditions:
+class DriveLifeConditions:
     """Under which duty, and how, the bearings are rated. The turn is always a whole one of the output."""
 
     samples: int = condition(48, "input angles over the span", minimum=4, maximum=100_000)
@@ -94,7 +90,6 @@ class Conditions:
     )
     pin_contact: str = condition("hertz", "contact law of discs and pins", choices=CONTACTS)
     carrier: str = condition("fixed", "centre of the carrier", choices=SUPPORTS)
-    sun: str = condition("fixed", "centre of the sun", choices=SUPPORTS)
     life_method: str = condition("basic", "of a bearing life; methods differ in level", choices=METHODS)
     reliability: float = condition(
         0.9, "share of the bearings, under the loads of one unit, that reach its life", unit="-", minimum=0, maximum=1
@@ -104,7 +99,14 @@ class Conditions:
     duty: tuple[tuple[float, ...], ...] | None = condition(None, "phases of a cycle", columns=COLUMNS)
 
 
-def _ways(given: Conditions) -> dict[str, Any]:
+@dataclass(frozen=True)
+class LifeConditions(DriveLifeConditions):
+    """The same conditions of an RV reducer."""
+
+    sun: str = condition("fixed", "centre of the sun", choices=SUPPORTS)
+
+
+def _ways(given: DriveLifeConditions) -> dict[str, Any]:
     return dict(
         samples=given.life_samples or given.samples,
         method=given.life_method,
@@ -113,12 +115,12 @@ def _ways(given: Conditions) -> dict[str, Any]:
     )
 
 
-def _duty(errors: RVErrors, given: Conditions) -> Duty:
+def _duty(errors: RVErrors, given: DriveLifeConditions) -> Duty:
     dtype = jnp.result_type(float, *jax.tree.leaves(errors))
     return Duty(*(jnp.asarray(column, dtype) for column in np.asarray(given.duty, float).T))
 
 
-def rated(design: RVReducer, errors: RVErrors, given: Conditions) -> Rating:
+def rated(design: RVReducer, errors: RVErrors, given: DriveLifeConditions) -> Rating:
     """Under the duty."""
     return rating(errors.stiffened(design), errors, _duty(errors, given), **_ways(given))
 
@@ -135,7 +137,7 @@ def turned_and_rated(design: RVReducer, errors: RVErrors, given: PyTree) -> tupl
     numbers = under(duty, phases, design, read, given.reliability, 0.0)
 
     along = 2 * np.pi * design.ratio * turns_of(design, given) * np.arange(n) / n
-    spread = input_angles(plan, design, read.torque.dtype)
+    spread = plan.input_angles(design, read.torque.dtype)
     torques = jnp.concatenate([jnp.full(n, read.torque[-1]), jnp.repeat(read.torque[:-1], plan.samples)])
     angles = jnp.concatenate([jnp.asarray(along, read.torque.dtype), jnp.tile(spread, phases)])
     before = np.concatenate(
@@ -152,7 +154,7 @@ def turned_and_rated(design: RVReducer, errors: RVErrors, given: PyTree) -> tupl
     return summary(around), by_forces(plan, numbers, read.errors, forces)
 
 
-def sought(design: RVReducer, errors: RVErrors, given: Conditions) -> RatedTorque:
+def sought(design: RVReducer, errors: RVErrors, given: DriveLifeConditions) -> RatedTorque:
     """At the rated speed, for the rated life."""
     assert given.rated_life is not None and given.rated_speed is not None
     return rated_torque(
@@ -176,10 +178,12 @@ def _torque(found: RatedTorque, design: RVReducer, given: object) -> Solved:
     return found.torque, found.info.status
 
 
-def _refusing(name: str, own: Callable[[Conditions], None]) -> Callable[[RVReducer, Conditions], None]:
+def _refusing(
+    name: str, own: Callable[[DriveLifeConditions], None]
+) -> Callable[[RVReducer, DriveLifeConditions], None]:
     """Check the parts of a design, the reliability and the bearings of the method, then run the check `own`."""
 
-    def refuse(design: RVReducer, given: Conditions) -> None:
+    def refuse(design: RVReducer, given: DriveLifeConditions) -> None:
         for part in ("stiffness", "contact"):
             if getattr(design, part) is None:
                 cls = part_class(type(design), part)
@@ -208,7 +212,7 @@ def _refusing(name: str, own: Callable[[Conditions], None]) -> Callable[[RVReduc
     return refuse
 
 
-def _with_duty(given: Conditions) -> None:
+def _with_duty(given: DriveLifeConditions) -> None:
     if given.duty is None:
         told = ", ".join(f"{name} in {unit}" for name, unit in COLUMNS.items())
         raise ValueError(f"[[duty]] is missing: life and static safety need at least one phase, with {told}")
@@ -220,7 +224,7 @@ def _with_duty(given: Conditions) -> None:
         raise ValueError("duty.time = 0 s in all phases: must have a positive sum")
 
 
-def _moving(given: Conditions) -> None:
+def _moving(given: DriveLifeConditions) -> None:
     _with_duty(given)
     assert given.duty is not None
     if not any(speed and time for _, speed, time in given.duty):
@@ -230,7 +234,7 @@ def _moving(given: Conditions) -> None:
         )
 
 
-def _with_life(given: Conditions) -> None:
+def _with_life(given: DriveLifeConditions) -> None:
     assert given.rated_life is not None
     if given.rated_life <= 0:
         raise ValueError(f"conditions.rated_life = {given.rated_life:g} s: must be positive")
@@ -260,7 +264,7 @@ UNKNOWN = (
 DESCRIPTION = Description(
     name="life",
     design=RVReducer,
-    conditions=Conditions,
+    conditions=LifeConditions,
     outputs={
         "life": _of_duty(
             "life", "s", "that all crank bearings of a unit reach at the reliability, under the duty", _life, "h"
@@ -310,7 +314,7 @@ OTHERS = (
     dataclasses.replace(
         DESCRIPTION,
         design=CycloidalReducer,
-        conditions=without_sun("DriveConditions", Conditions, {}),
+        conditions=DriveLifeConditions,
         outputs=_of_eccentrics(),
         cases=None,
         unknown="bearing life (plane model): tilt and edge load (1 mrad costs a quarter of the life), lubricant and "

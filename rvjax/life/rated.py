@@ -21,11 +21,9 @@ from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
-from rvjax.life.angles import input_angles
-from rvjax.life.histories import LIFE
-from rvjax.life.kinds import KINDS, kind_of
+from rvjax.life.damage import LIFE, ratings
+from rvjax.life.duty import KINDS, kind_of
 from rvjax.life.machine import Plan, check_plan, damages, entered
-from rvjax.life.ratings import ratings
 from rvjax.loaded import Read, admit, bearing_forces
 from rvjax.records import PyTree, Record, Scalar, concrete, field, quantity, record
 from rvjax.status import Gate, SolveInfo, Status, succeeded, worst
@@ -205,7 +203,7 @@ def _missing(plan: Plan, given: Given, x: jax.Array, start: jax.Array) -> Evalua
     refused = Gate(((given.sound < 0.5, Status.NONFINITE),))
     torque = jnp.exp(x)[None]
     read = Read(given.design, given.errors, given.eccentricity, torque, jnp.zeros_like(x), refused)
-    angles = input_angles(plan, given.design, x.dtype)
+    angles = plan.input_angles(given.design, x.dtype)
     forces = bearing_forces(plan.layout, read, torque, angles, start, near=plan.near)
     found = damages(plan, given.bearings, given.errors, forces, jnp.ones_like(torque), given.tilt)
     share = found.whole * given.budget / 1e6  # of the life that the wanted revolutions take

@@ -5,30 +5,36 @@ Derived in this project: docs/models/loaded.md.
 """
 
 from rvjax.loaded.balance import compliance as compliance, forces as forces
-from rvjax.loaded.bearing_forces import (
-    BearingForces as BearingForces,
-    Equilibria as Equilibria,
-    bearing_forces as bearing_forces,
-    equilibria as equilibria,
-)
 from rvjax.loaded.case import Case as Case, turned as turned
 from rvjax.loaded.cases import MACHINE as MACHINE, RATED as RATED, WHOLE as WHOLE
-from rvjax.loaded.clearance import Clearance, clearance
-from rvjax.loaded.conditions import (
-    Conditions as Conditions,
-    DriveConditions as DriveConditions,
-    ways as ways,
-    without_sun as without_sun,
-)
 from rvjax.loaded.encoder import Reading, housing_orders, reading
-from rvjax.loaded.equilibrium import Loaded, equilibrium
-from rvjax.loaded.head import HEAD_PARTS as HEAD_PARTS
+from rvjax.loaded.equilibrium import (
+    BearingForces as BearingForces,
+    Equilibria as Equilibria,
+    Loaded,
+    bearing_forces as bearing_forces,
+    equilibria as equilibria,
+    equilibrium,
+)
 from rvjax.loaded.inputs import SUPPORTS as SUPPORTS, Read as Read, unchecked as unchecked
-from rvjax.loaded.instants import instants as instants
 from rvjax.loaded.kinds import admit as admit, check_input as check_input, named as named
 from rvjax.loaded.laws import CONTACTS as CONTACTS
-from rvjax.loaded.revolution import Revolution, revolution, summary as summary
-from rvjax.loaded.sources import turn as turn, turns_of as turns_of
+from rvjax.loaded.observation import (
+    HEAD_PARTS as HEAD_PARTS,
+    DriveConditions as DriveConditions,
+    LoadedConditions as LoadedConditions,
+    turn as turn,
+    turns_of as turns_of,
+    ways as ways,
+)
+from rvjax.loaded.revolution import (
+    Clearance,
+    Revolution,
+    clearance,
+    instants as instants,
+    revolution,
+    summary as summary,
+)
 from rvjax.loaded.system import Layout as Layout
 from rvjax.loaded.torsion import Torsion, torsion
 

@@ -3,6 +3,9 @@
 common      carrier: Rw alpha, then x, y if it floats; shaft: x, y where `shaft_support` holds it, else it is fixed
 joints      output pins in the holes of the discs; a hole is a contact along the eccentricity, linear like a flank
 bearings    eccentric bearings, then the supports of the shaft
+
+Contact laws: an output pin lies in a hollow, the hole, 1/R* = 1/rw - 1/(rw + e + clearance/2), nominal. Near conformity
+the theory of line contact ends.
 """
 
 from functools import partial
@@ -13,16 +16,69 @@ import jax.numpy as jnp
 
 from rvjax._jax.elementary import nonnegative
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
+from rvjax.designs import Contact
 from rvjax.geometry import material as of_contact, squared_pressure
-from rvjax.loaded import material
+from rvjax.loaded import laws
 from rvjax.loaded.balance import Forces
 from rvjax.loaded.case import Case, Named, under
-from rvjax.loaded.cycloidal_contacts import Law, drive_laws
-from rvjax.loaded.cycloidal_fit import gaps_of_turn
-from rvjax.loaded.cycloidal_gaps import Unknowns, drive_at, drive_gaps, drive_rows
+from rvjax.loaded.cycloidal_gaps import Drive, Unknowns, drive_at, drive_gaps, drive_rows, gaps_of_turn
+from rvjax.loaded.geometry import flank_rounding
 from rvjax.loaded.inputs import Read, admitted, check_shapes, unchecked
 from rvjax.loaded.system import Bearings, Group, Joints, Layout, Pins, System
 from rvjax.records import Scalar
+
+
+class Law(NamedTuple):
+    """Numbers of the contact law of one group of contacts, one for each or one for all."""
+
+    compliance: jax.Array  # c of hertz, k of linear, C of palmgren
+    level: jax.Array | None  # A of hertz
+    radius: jax.Array  # R*, m
+
+
+class DriveLaws(NamedTuple):
+    """Contact laws of both groups."""
+
+    pins: Law  # (d, p)
+    holes: Law  # (d, n) or shorter
+
+
+def drive_laws(law: str, design: CycloidalReducer, at: Drive) -> DriveLaws:
+    """Numbers of the contact laws at an angle.
+
+    Args:
+        law: "hertz", "linear" or "palmgren".
+        design: radii and contact are read.
+        at: directions of the angle.
+    """
+    contact, output, cycloid = design.contact, design.output, design.cycloid
+    assert contact is not None
+    pin, sleeve = jnp.asarray(cycloid.pin_radius), jnp.asarray(output.pin_radius)
+    room = jnp.asarray(cycloid.eccentricity + output.hole_clearance / 2)  # hole radius less pin radius
+    groups = (
+        (flank_rounding(cycloid, at.ring), pin, contact.pin_stiffness, contact.pin_support),
+        (sleeve * room / (sleeve + room), sleeve, output.pin_stiffness, output.pin_support),
+    )
+    return DriveLaws(*(_law(law, contact, *numbers) for numbers in groups))
+
+
+def _law(
+    law: str, contact: Contact, rounding: jax.Array, pin: jax.Array, stiffness: Scalar | None, support: Scalar | None
+) -> Law:
+    """Eqs. 8 to 10; `rounding` is r^2/R* of a pin of radius r."""
+    plane = laws.plane(contact)
+    radius = pin * pin / rounding
+    soft = None if support is None else jnp.atleast_2d(1 / jnp.asarray(support))  # a row for every disc
+    if law == "linear":
+        assert stiffness is not None
+        free = jnp.asarray(1 / jnp.asarray(stiffness))
+        return Law(1 / (free if soft is None else free + soft), None, radius)
+    if law == "palmgren":
+        return Law(3.81 * plane**0.9 / contact.face_width**0.8, None, radius)
+    c = plane / contact.face_width
+    level = laws.level(contact, rounding)
+    return Law(c, level if soft is None else level + soft / c, radius)
+
 
 NEAR = 0.3
 """Half width of a contact over the radius of its output pin from which on the theory of line contact fails."""
@@ -149,7 +205,7 @@ def _holes(layout: Layout, design: CycloidalReducer, law: Law) -> _Holes:
     assert contact is not None
     every = (layout.discs, design.output.count)
     law = Law(*(None if x is None else jnp.broadcast_to(x, every).ravel() for x in law))  # type: ignore[arg-type]
-    plane = material.plane(contact) / contact.face_width  # a^2 = 4 F R* plane
+    plane = laws.plane(contact) / contact.face_width  # a^2 = 4 F R* plane
     most = jnp.asarray((NEAR * design.output.pin_radius) ** 2 / (4 * law.radius * plane))
     pressure = _pressure(design, law.radius)
     return _Holes(law, jnp.broadcast_to(pressure, (count,)), most if layout.law == "hertz" else None)

@@ -19,10 +19,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax.loaded.contacts import (
+from rvjax.loaded.hessian import hessian, solve
+from rvjax.loaded.system import (
     Contacts,
     Held,
+    Layout,
     Pressed,
+    System,
     depths,
     displaced,
     gradient,
@@ -30,9 +33,6 @@ from rvjax.loaded.contacts import (
     pressed_pins,
     typical_joint_slopes,
 )
-from rvjax.loaded.elimination import solve
-from rvjax.loaded.hessian import hessian
-from rvjax.loaded.system import Layout, System
 
 STEPS = 60  # at most; hard cases take 15 to 35
 _CLOSED = 5e4  # times the rounding: mu over its first value where the rest is left to Newton's method

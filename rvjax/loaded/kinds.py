@@ -16,7 +16,7 @@ from rvjax.records import PyTree, Scalar
 from rvjax.status import SolveInfo
 
 
-class Kind(Protocol):
+class LoadedKind(Protocol):
     """Functions of the module of a kind of reducer; the arguments are those of `rv`."""
 
     def layout(self, design: PyTree, errors: PyTree, contact: str, carrier: str, sun: str) -> Layout:
@@ -40,10 +40,10 @@ class Kind(Protocol):
         """Orders of the output turn that a reducer without errors makes, as far as few angles may not resolve them."""
 
 
-KINDS: dict[type, Kind] = {RVReducer: rv, CycloidalReducer: cycloidal}
+KINDS: dict[type, LoadedKind] = {RVReducer: rv, CycloidalReducer: cycloidal}
 
 
-def kind_of(design: PyTree) -> Kind:
+def kind_of(design: PyTree) -> LoadedKind:
     """The module of a design's kind."""
     return next(kind for cls, kind in KINDS.items() if isinstance(design, cls))
 

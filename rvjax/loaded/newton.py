@@ -20,11 +20,14 @@ from jax.typing import DTypeLike
 from rvjax._jax.batching import folded, stored
 from rvjax._jax.blocks import EQUILIBRIA
 from rvjax.loaded import laws
-from rvjax.loaded.batching import take
-from rvjax.loaded.contacts import (
+from rvjax.loaded.hessian import Frame, frame, hessian, solve
+from rvjax.loaded.interior import approach
+from rvjax.loaded.system import (
     Contacts,
     Held,
+    Layout,
     Pressed,
+    System,
     depths,
     displaced,
     energy,
@@ -35,10 +38,6 @@ from rvjax.loaded.contacts import (
     pressed_pins,
     typical_joint_slopes,
 )
-from rvjax.loaded.elimination import solve
-from rvjax.loaded.hessian import Frame, frame, hessian
-from rvjax.loaded.interior import approach
-from rvjax.loaded.system import Layout, System
 from rvjax.loaded.watchdog import Merit, State, begun, decided, onward, unpacked
 from rvjax.records import PyTree
 
@@ -303,3 +302,8 @@ def _most(*values: jax.Array) -> jax.Array:
     """Largest absolute value of each batch element."""
     largest = [folded(jnp.abs(value), *range(value.ndim - 1), by=jnp.maximum) for value in values]
     return functools.reduce(jnp.maximum, largest)
+
+
+def take(tree: PyTree, index: jax.Array) -> PyTree:
+    """The cases `index` of leaves (cases or 1, ...), batch axis last; a shared leaf keeps length 1."""
+    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf if len(leaf) == 1 else leaf[index], 0, -1), tree)

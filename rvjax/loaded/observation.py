@@ -1,26 +1,155 @@
-"""Bench observations of a reducer under load: orders of the transmission error, and the hysteresis curve.
+"""A reducer in a study and on its test bench: conditions, results that several outputs read, bench observations.
 
-All angles of a turn are solved next to each other: with slopes of fifty elements that is cheaper than from one angle to
-the next. Every observation is linear in the errors at single angles, so that each equilibrium is solved for its slopes
-once, however many numbers are observed.
+Observations are orders of the transmission error, with the effects of one encoder head (the nuisance "reading" of
+identification), and the hysteresis curve. All angles of a turn are solved next to each other: with slopes of fifty
+elements that is cheaper than from one angle to the next. Every observation is linear in the errors at single angles, so
+that each equilibrium is solved for its slopes once, however many numbers are observed.
 """
 
 import functools
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.compile_cache import QUICK
-from rvjax.loaded.conditions import Conditions, ways
-from rvjax.loaded.equilibrium import error_alone
-from rvjax.loaded.head import effects_of_a_head
+from rvjax._jax.compile_cache import QUICK, quick
+from rvjax.designs import RVReducer
+from rvjax.errors import RVErrors
+from rvjax.loaded.encoder import Reading, reading
+from rvjax.loaded.equilibrium import equilibrium, error_alone
+from rvjax.loaded.inputs import SUPPORTS
 from rvjax.loaded.kinds import check_input, kind_of
+from rvjax.loaded.laws import CONTACTS
+from rvjax.loaded.revolution import Revolution, revolution
 from rvjax.loaded.system import Layout
-from rvjax.outputs import Observation, Spectrum
+from rvjax.loaded.torsion import SHARES
+from rvjax.outputs import Observation, Spectrum, condition
 from rvjax.records import Array, PyTree, Scalar
+
+SPANS = ("crank_turn", "output_turn")
+
+
+@dataclass(frozen=True)
+class DriveConditions:
+    """Operating conditions of a single-stage drive and its test bench; None only where no output needs the value."""
+
+    output_torque: float = condition(0.0, "torque of the discs on the output", unit="N m", torque=True)
+    second_torque: float = condition(None, "of the discs on the output, the second one", unit="N m")
+    rated_torque: float = condition(None, "of which a test bench takes shares", unit="N m")
+    input_angle: float = condition(0.0, "of the shaft, at which the bench twists the output", unit="rad")
+    probe_angles: int = condition(
+        1, "input angles of the bench, equally spaced over the span from the input angle on", minimum=1, maximum=1000
+    )
+    span: str = condition("crank_turn", "along which the reducer turns", choices=SPANS)
+    samples: int = condition(48, "input angles over the span", minimum=4, maximum=100_000)
+    order: int = condition(None, "periods in one turn of the output", minimum=1, maximum=50_000)
+    pin_contact: str = condition("hertz", "contact law of discs and pins", choices=CONTACTS)
+    carrier: str = condition("fixed", "centre of the carrier", choices=SUPPORTS)
+
+
+@dataclass(frozen=True)
+class LoadedConditions(DriveConditions):
+    """Operating conditions of an RV reducer: the sun is its input, the carrier its output."""
+
+    output_torque: float = condition(0.0, "torque of the discs on the carrier", unit="N m", torque=True)
+    second_torque: float = condition(None, "of the discs on the carrier, the second one", unit="N m")
+    input_angle: float = condition(0.0, "of the sun, at which the bench twists the output", unit="rad")
+    sun: str = condition("fixed", "centre of the sun", choices=SUPPORTS)
+
+
+def ways(given: Any) -> dict[str, str]:
+    """Methods of the equilibrium, as its keyword arguments."""
+    return dict(contact=given.pin_contact, carrier=given.carrier, sun=getattr(given, "sun", "fixed"))
+
+
+RATED, HALF, SLIGHT, PROBE = SHARES
+
+
+def turns_of(design: RVReducer, given: LoadedConditions) -> float:
+    """Turns of the output in the span."""
+    return 1.0 if given.span == "output_turn" else 1 / design.cycloid.pin_count
+
+
+def _along(design: RVReducer, errors: RVErrors, given: LoadedConditions, torque: float) -> Revolution:
+    turns = turns_of(design, given)
+    return revolution(
+        errors.stiffened(design), errors, output_torque=torque, turns=turns, samples=given.samples, **ways(given)
+    )
+
+
+def turn(design: RVReducer, errors: RVErrors, given: LoadedConditions) -> Revolution:
+    """Along the span under the output torque."""
+    return _along(design, errors, given, given.output_torque)
+
+
+def second_turn(design: RVReducer, errors: RVErrors, given: LoadedConditions) -> Revolution:
+    """Along the span under the second torque."""
+    return _along(design, errors, given, given.second_torque)
+
+
+def unloaded_turn(design: RVReducer, errors: RVErrors, given: LoadedConditions) -> Revolution:
+    """Along the span at the probe torque: the limit of no load."""
+    return _along(design, errors, given, PROBE * given.rated_torque)
+
+
+HEAD_PARTS = {"ring": 2, "tilt": 1, "dent": 3}
+"""Effects in the order of the elements of "reading", and their periods in a revolution of the head."""
+READ_AT = 1000.0
+"""Torque at which the amplitudes are given where the conditions have none, N m."""
+
+
+def effects_of_a_head(
+    design: RVReducer, conditions: LoadedConditions, torques: np.ndarray, orders: Sequence[int]
+) -> np.ndarray:
+    """Contribution of a head to the orders at each torque, per element of "reading", (torques, k, 6, 2).
+
+    Of the reducer without errors of parts, whose forces those of a unit resemble to 1 %. An element is the largest
+    amplitude of its effect, of any order, at the rated torque.
+
+    Args:
+        design: the reducer.
+        conditions: of the study.
+        torques: of the discs on the carrier, N m (torques,).
+        orders: of the output turn (k,).
+    """
+    rated = abs(conditions.rated_torque or conditions.output_torque or READ_AT)
+    turn, k = 2 * np.pi * design.ratio, design.cycloid.pin_count * design.cranks.count
+    angle = turn * np.arange(samples := k * -(-4 * max(*orders, k) // k)) / samples
+    methods = ways(conditions).values()
+    loads = map(float, (rated, *torques))  # of one type: one program
+    curves = np.stack([jax.device_get(_effects(design, jnp.asarray(angle), load, *methods)) for load in loads])
+    waves = 2 / samples * np.fft.rfft(curves)[..., 1:]  # (torques, 6, orders)
+    largest = np.abs(waves[0]).reshape(3, -1).max(axis=1)
+    waves = waves[1:] / np.repeat(np.where(largest > 0, largest, 1.0), 2)[:, None]
+    found = np.moveaxis(waves[..., np.array(orders) - 1], -1, 1)
+    return np.stack([found.real, found.imag], axis=-1)
+
+
+@quick(3, 4, 5)
+def _effects(design: RVReducer, angle: jax.Array, torque: float, contact: str, carrier: str, sun: str) -> jax.Array:
+    """Readings less the error for unit gains: cosine and sine of the head for ring, tilt and dent, (6, angles)."""
+    discs = design.cycloid.disc_count
+    position = np.linspace(-1.0, 1.0, discs) if discs > 1 else np.zeros(1)
+    gains = zip(np.eye(3).tolist(), HEAD_PARTS.values())
+    heads = [
+        Reading(1.0, (np.pi * part / 2 / m,), ring, tilt, 1.0, position, dent)
+        for (ring, tilt, dent), m in gains
+        for part in (0, 1)
+    ]
+
+    def at(x: jax.Array) -> jax.Array:
+        found = equilibrium(
+            design, RVErrors(), input_angle=x, output_torque=torque, contact=contact, carrier=carrier, sun=sun
+        )
+        seen = [reading(found, design, head, input_angle=x, output_torque=torque) for head in heads]
+        return jnp.stack([value - found.error for value in seen])
+
+    return jax.vmap(at, out_axes=1)(angle)
+
 
 NEEDS = ("stiffness", "contact")
 PARTS = 5
@@ -75,7 +204,7 @@ def _errors_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[jax.
 _errors.defjvp(_errors_jvp, symbolic_zeros=True)
 
 
-def _count(design: PyTree, given: Conditions, orders: tuple[int, ...], alike: bool) -> int:
+def _count(design: PyTree, given: LoadedConditions, orders: tuple[int, ...], alike: bool) -> int:
     """Angles of a period: so many that no order of perfect parts that they do not resolve looks like an observed one.
 
     The mean is observed, too.
@@ -91,7 +220,7 @@ def _count(design: PyTree, given: Conditions, orders: tuple[int, ...], alike: bo
     return next(count for count in itertools.count(least) if not taken(count))
 
 
-def _parts(design: PyTree, given: Conditions, orders: tuple[int, ...], alike: bool) -> int:
+def _parts(design: PyTree, given: LoadedConditions, orders: tuple[int, ...], alike: bool) -> int:
     """Parts of a turn of the output: so many that what one takes for another order is far from those of the pins."""
     if alike:
         return 1
@@ -109,7 +238,7 @@ def _parts(design: PyTree, given: Conditions, orders: tuple[int, ...], alike: bo
 def _spectrum(
     design: PyTree,
     errors: PyTree,
-    given: Conditions,
+    given: LoadedConditions,
     torques: Array,
     orders: tuple[int, ...],
     alike: bool,
@@ -129,7 +258,7 @@ def _spectrum(
     return jnp.mean(error, axis=1), jax.lax.complex(*found)
 
 
-def _angle(design: PyTree, errors: PyTree, given: Conditions, torques: Array) -> Array:
+def _angle(design: PyTree, errors: PyTree, given: LoadedConditions, torques: Array) -> Array:
     """Output angle at each torque, input held."""
     angle = jnp.asarray(given.input_angle, jnp.result_type(float))[None]
     stiff = errors.stiffened(design)

@@ -18,27 +18,38 @@ from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.loaded.cases import cases
-from rvjax.loaded.clearance import Clearance, clearance
-from rvjax.loaded.conditions import Conditions, DriveConditions, ways
 from rvjax.loaded.equilibrium import equilibrium
 from rvjax.loaded.inputs import check_teeth
 from rvjax.loaded.kinds import check_input
-from rvjax.loaded.observation import CURVE, LOOP
-from rvjax.loaded.revolution import Revolution
-from rvjax.loaded.sources import HALF, PROBE, RATED, SLIGHT, second_turn, turn, turns_of, unloaded_turn
+from rvjax.loaded.observation import (
+    CURVE,
+    HALF,
+    LOOP,
+    PROBE,
+    RATED,
+    SLIGHT,
+    DriveConditions,
+    LoadedConditions,
+    second_turn,
+    turn,
+    turns_of,
+    unloaded_turn,
+    ways,
+)
+from rvjax.loaded.revolution import Clearance, Revolution, clearance
 from rvjax.loaded.torsion import secant, twisted
 from rvjax.outputs import KNOWN_ERROR, Curve, Description, Output, Reading, Solved, Usual
 from rvjax.records import PyTree
 from rvjax.status import SolveInfo, worst, worst_of
 from rvjax.units import MPa
 
-Refuse = Callable[[RVReducer, Conditions], None]
+Refuse = Callable[[RVReducer, LoadedConditions], None]
 
 
-def _bench(shares: tuple[float, ...]) -> Callable[[RVReducer, RVErrors, Conditions], tuple[jax.Array, SolveInfo]]:
+def _bench(shares: tuple[float, ...]) -> Callable[[RVReducer, RVErrors, LoadedConditions], tuple[jax.Array, SolveInfo]]:
     """Rotations (angles, shares, 2) at the input angles of the bench, and the worst info."""
 
-    def twist(design: RVReducer, errors: RVErrors, given: Conditions) -> tuple[jax.Array, SolveInfo]:
+    def twist(design: RVReducer, errors: RVErrors, given: LoadedConditions) -> tuple[jax.Array, SolveInfo]:
         """At the shares of the rated torque that this bench takes."""
         design = errors.stiffened(design)
         layout = check_input(design, errors, *ways(given).values())
@@ -57,28 +68,28 @@ def _bench(shares: tuple[float, ...]) -> Callable[[RVReducer, RVErrors, Conditio
 BACKLASH, LOST_MOTION, STIFFNESS = _bench((PROBE,)), _bench((SLIGHT,)), _bench((RATED, HALF))
 
 
-def _play(twist: tuple[jax.Array, SolveInfo], design: RVReducer, given: Conditions) -> Solved:
+def _play(twist: tuple[jax.Array, SolveInfo], design: RVReducer, given: LoadedConditions) -> Solved:
     rotation, info = twist
     return jnp.max(rotation[:, 0, 0] - rotation[:, 0, 1]), info.status
 
 
-def _stiffness(twist: tuple[jax.Array, SolveInfo], design: RVReducer, given: Conditions) -> Solved:
+def _stiffness(twist: tuple[jax.Array, SolveInfo], design: RVReducer, given: LoadedConditions) -> Solved:
     rotation, info = twist
     return jnp.min(secant(rotation[:, 0, 1], rotation[:, 1, 1], given.rated_torque)), info.status
 
 
 def _figure(name: str) -> Callable[..., Solved]:
-    def take(found: Revolution, design: RVReducer, given: Conditions) -> Solved:
+    def take(found: Revolution, design: RVReducer, given: LoadedConditions) -> Solved:
         return getattr(found, name), found.info.status
 
     return take
 
 
-def _shift(first: Revolution, second: Revolution, design: RVReducer, given: Conditions) -> Solved:
+def _shift(first: Revolution, second: Revolution, design: RVReducer, given: LoadedConditions) -> Solved:
     return second.mean - first.mean, worst(jnp.stack([first.info.status, second.info.status]))
 
 
-def _amplitude(found: Revolution, design: RVReducer, given: Conditions) -> Solved:
+def _amplitude(found: Revolution, design: RVReducer, given: LoadedConditions) -> Solved:
     """|X_k| of error = Re sum X_k e^(2 pi i k j / n), from its one line of the transform."""
     k = round(given.order * turns_of(design, given))
     angle = 2 * np.pi * ((k * np.arange(given.samples)) % given.samples) / given.samples
@@ -90,7 +101,7 @@ def _amplitude(found: Revolution, design: RVReducer, given: Conditions) -> Solve
     return jnp.where(square == 0, 0, jnp.sqrt(jnp.where(square == 0, 1, square))), found.info.status
 
 
-def _pressure(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
+def _pressure(design: RVReducer, errors: RVErrors, given: LoadedConditions) -> Solved:
     found = equilibrium(
         errors.stiffened(design),
         errors,
@@ -101,28 +112,28 @@ def _pressure(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
     return jnp.max(found.pressure), found.info.status
 
 
-def _fit(design: PyTree, errors: PyTree, given: Conditions) -> Clearance:
+def _fit(design: PyTree, errors: PyTree, given: LoadedConditions) -> Clearance:
     """Least clearance of flanks, and of the holes of a drive, over the span without load."""
     return clearance(design, errors, turns=turns_of(design, given), samples=given.samples)
 
 
-def _least(found: Clearance, design: PyTree, given: Conditions) -> Solved:
+def _least(found: Clearance, design: PyTree, given: LoadedConditions) -> Solved:
     return found.least, found.info.status
 
 
-def _clearance(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
+def _clearance(design: RVReducer, errors: RVErrors, given: LoadedConditions) -> Solved:
     return _least(_fit(design, errors, given), design, given)
 
 
-def _one_more(design: RVReducer, given: Conditions) -> None:
+def _one_more(design: RVReducer, given: LoadedConditions) -> None:
     check_teeth(design.cycloid)
 
 
-def _angles(given: Conditions) -> np.ndarray:
+def _angles(given: LoadedConditions) -> np.ndarray:
     return 2 * np.pi * np.arange(given.samples) / given.samples
 
 
-def _curve(design: RVReducer, errors: RVErrors, given: Conditions) -> tuple[np.ndarray, jax.Array]:
+def _curve(design: RVReducer, errors: RVErrors, given: LoadedConditions) -> tuple[np.ndarray, jax.Array]:
     return _angles(given), turn(design, errors, given).error
 
 
@@ -130,7 +141,7 @@ def _carrying(outputs: dict[str, Output]) -> dict[str, Output]:
     """Add to each output a check for missing load-carrying parts of the design, before its other checks."""
 
     def refusing(own: Refuse | None) -> Refuse:
-        def refuse(design: RVReducer, given: Conditions) -> None:
+        def refuse(design: RVReducer, given: LoadedConditions) -> None:
             for part in ("stiffness", "contact"):
                 if getattr(design, part) is None:
                     cls = part_class(type(design), part)
@@ -144,24 +155,24 @@ def _carrying(outputs: dict[str, Output]) -> dict[str, Output]:
     return {name: replace(output, refuse=refusing(output.refuse)) for name, output in outputs.items()}
 
 
-def _apart(design: RVReducer, given: Conditions) -> None:
+def _apart(design: RVReducer, given: LoadedConditions) -> None:
     if given.second_torque == given.output_torque:
         raise ValueError(
             f"conditions.second_torque = {given.second_torque:g} N m: must differ from conditions.output_torque"
         )
 
 
-def _rated(design: RVReducer, given: Conditions) -> None:
+def _rated(design: RVReducer, given: LoadedConditions) -> None:
     if given.rated_torque <= 0:
         raise ValueError(f"conditions.rated_torque = {given.rated_torque:g} N m: must be positive")
 
 
-def _loaded(design: RVReducer, given: Conditions) -> None:
+def _loaded(design: RVReducer, given: LoadedConditions) -> None:
     if given.output_torque == 0:
         raise ValueError("conditions.output_torque = 0 N m: without torque there is no load to share")
 
 
-def _resolved(design: RVReducer, given: Conditions) -> None:
+def _resolved(design: RVReducer, given: LoadedConditions) -> None:
     """An order that the span holds in full periods and the samples resolve."""
     where, zp = f"conditions.order = {given.order}", design.cycloid.pin_count
     if given.span == "crank_turn" and given.order % zp:
@@ -177,15 +188,15 @@ def _of_turn(unit: str, meaning: str, name: str, refuse: Refuse | None = None, l
     return Output(unit, meaning, Reading((turn,), _figure(name)), refuse=refuse, least=least)
 
 
-def _along(given: Conditions) -> tuple[str, int]:
+def _along(given: LoadedConditions) -> tuple[str, int]:
     return "turn", given.samples
 
 
-def _at_the_probe(given: Conditions) -> tuple[str, int]:
+def _at_the_probe(given: LoadedConditions) -> tuple[str, int]:
     return "probe", 2 * given.probe_angles
 
 
-def _at_the_bench(given: Conditions) -> tuple[str, int]:
+def _at_the_bench(given: LoadedConditions) -> tuple[str, int]:
     return "bench", 2 * given.probe_angles
 
 
@@ -195,7 +206,7 @@ PRESSURE = 2800 * MPa
 DESCRIPTION = Description(
     name="loaded",
     design=RVReducer,
-    conditions=Conditions,
+    conditions=LoadedConditions,
     outputs=_carrying({
         "loaded_transmission_error": _of_turn(
             "rad", "peak to peak over the span, every pin under load", "peak_to_peak", least=KNOWN_ERROR

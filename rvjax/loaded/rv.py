@@ -16,12 +16,10 @@ from rvjax._jax.elementary import nonnegative
 from rvjax.designs import Contact, RVReducer
 from rvjax.errors import RVErrors
 from rvjax.geometry import material as of_contact, squared_pressure
-from rvjax.loaded import material
+from rvjax.loaded import laws
 from rvjax.loaded.balance import Forces
 from rvjax.loaded.case import Case, Named
-from rvjax.loaded.fit import flanks, no_orders
-from rvjax.loaded.gaps import flank_rounding, full, pin_depths
-from rvjax.loaded.geometry import Geometry, Turn, geometry, turn
+from rvjax.loaded.geometry import Geometry, Turn, flank_rounding, flanks, full, geometry, no_orders, pin_depths, turn
 from rvjax.loaded.inputs import Read, admitted, check_shapes, unchecked
 from rvjax.loaded.system import Bearings, Group, Joints, Layout, Pins, System
 from rvjax.records import Scalar
@@ -130,8 +128,8 @@ def pin_compliance(layout: Layout, design: RVReducer) -> jax.Array:
         whole = 4 * cosine * cosine * jnp.mean(springs.disc_pin_mesh) / layout.pins
         return whole if soft is None else 1 / (1 / whole + (soft - jnp.mean(soft)))
     if layout.law == "palmgren":
-        return 3.81 * material.plane(contact) ** 0.9 / contact.face_width**0.8
-    return material.plane(contact) / contact.face_width
+        return 3.81 * laws.plane(contact) ** 0.9 / contact.face_width**0.8
+    return laws.plane(contact) / contact.face_width
 
 
 def mesh_stiffness(design: RVReducer) -> jax.Array:
@@ -196,7 +194,7 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
     rounding = flank_rounding(cycloid, at)
     level = None
     if layout.law == "hertz":
-        level = material.level(contact, rounding)
+        level = laws.level(contact, rounding)
         if contact.pin_support is not None:
             level = level + 1 / (yielding * jnp.atleast_1d(contact.pin_support)[None])
     arms = jnp.broadcast_to(springs.turning_arm_bearing, (layout.discs, layout.links))

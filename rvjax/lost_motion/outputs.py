@@ -12,13 +12,13 @@ from rvjax.units import um
 
 
 @dataclass(frozen=True)
-class Conditions:
+class LostMotionConditions:
     """Method of the free angle."""
 
     lost_motion_profile: str = condition("first_order", "of the backlash between flanks and pins", choices=PROFILES)
 
 
-def _lost_motion(design: RVReducer, errors: RVErrors, given: Conditions) -> Solved:
+def _lost_motion(design: RVReducer, errors: RVErrors, given: LostMotionConditions) -> Solved:
     found = geometric(design, errors, profile=given.lost_motion_profile)
     return found.total, found.info.status
 
@@ -59,7 +59,7 @@ def _cases(quick: bool) -> Sequence[Cases]:
 DESCRIPTION = Description(
     name="lost_motion",
     design=RVReducer,
-    conditions=Conditions,
+    conditions=LostMotionConditions,
     outputs={
         "lost_motion": Output(
             "rad",

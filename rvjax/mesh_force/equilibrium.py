@@ -26,7 +26,7 @@ from rvjax.designs import CamRollerReducer, expect
 from rvjax.errors import CamRollerErrors
 from rvjax.mesh_force import geometry, laws, line_contact
 from rvjax.mesh_force.block import Found, solve_block
-from rvjax.mesh_force.case import Case, all_rollers, lever, take_apart
+from rvjax.mesh_force.geometry import Case, all_rollers, lever, take_apart
 from rvjax.mesh_force.laws import Compliance
 from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record, signs_hold
 from rvjax.status import SolveInfo, Status, admit, converged, window
@@ -92,7 +92,7 @@ def equilibrium(law: str, teeth: int, case: Case) -> Found:
 
 
 @equilibrium.defjvp
-def _equilibrium_jvp(law: str, teeth: int, primals: PyTree, tangents: PyTree) -> PyTree:
+def _equilibrium_jvp(law: str, teeth: int, primals: tuple[Case], tangents: tuple[Case]) -> tuple[Found, Found]:
     found = equilibrium(law, teeth, *primals)
     return found, jax.custom_derivatives.zero_from_primal(found)
 

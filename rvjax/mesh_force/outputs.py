@@ -19,7 +19,7 @@ from rvjax.units import um
 
 
 @dataclass(frozen=True)
-class Conditions:
+class MeshForceConditions:
     """Operating conditions of an oscillatory roller stage."""
 
     input_torque: float = condition(0.0, "torque on the crank", unit="N m", torque=True)
@@ -29,22 +29,22 @@ class Conditions:
     )
 
 
-def _cycle(design: CamRollerReducer, errors: CamRollerErrors, given: Conditions) -> CycleStatistics:
+def _cycle(design: CamRollerReducer, errors: CamRollerErrors, given: MeshForceConditions) -> CycleStatistics:
     torque, contact = given.input_torque, given.contact
     return cycle_statistics(design, errors, input_torque=torque, contact=contact, samples=given.angles)
 
 
-def _cam_force(design: CamRollerReducer, errors: CamRollerErrors, given: Conditions) -> Solved:
+def _cam_force(design: CamRollerReducer, errors: CamRollerErrors, given: MeshForceConditions) -> Solved:
     found = _cycle(design, errors, given)
     return found.cam_peak, found.info.status
 
 
-def _contact_pressure(design: CamRollerReducer, errors: CamRollerErrors, given: Conditions) -> Solved:
+def _contact_pressure(design: CamRollerReducer, errors: CamRollerErrors, given: MeshForceConditions) -> Solved:
     found = _cycle(design, errors, given)
     return found.pressure_peak, found.info.status
 
 
-def _curve(design: CamRollerReducer, errors: CamRollerErrors, given: Conditions) -> tuple[np.ndarray, Array]:
+def _curve(design: CamRollerReducer, errors: CamRollerErrors, given: MeshForceConditions) -> tuple[np.ndarray, Array]:
     """Largest cam force of all rollers while the output turns by one tooth of the gear."""
     angles = np.linspace(0, 2 * np.pi / design.gear_teeth, 8 * (design.gear_teeth + 1), endpoint=False)
 
@@ -85,7 +85,7 @@ def _cases_of(contact: str, quick: bool) -> Cases:
 DESCRIPTION = Description(
     name="mesh_force",
     design=CamRollerReducer,
-    conditions=Conditions,
+    conditions=MeshForceConditions,
     outputs={
         "cam_force": Output("N", "largest cam force of all rollers over a work cycle", _cam_force),
         "contact_pressure": Output("Pa", "largest contact pressure over a work cycle", _contact_pressure),

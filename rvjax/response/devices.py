@@ -11,7 +11,7 @@ import numpy as np
 
 from rvjax._jax.blocks import default_platform
 from rvjax.population import TURN, Population, SobolPoints, drawn, key_of, root_key
-from rvjax.records import PyTree, Record
+from rvjax.records import Record
 from rvjax.response.response import R, Response, Values, per_response, respond
 
 UNITS = jax.sharding.PartitionSpec("units")
@@ -117,7 +117,7 @@ def _respond_on(
 def shared_out(
     function: Callable[..., R],
     mesh: jax.sharding.Mesh,
-    out: PyTree,
+    out: object,
     response: Response,
     population: Population,
     *rows: jax.Array,

@@ -58,7 +58,7 @@ class _Program:
     begun: Future[Any] | None = None
 
 
-def _type_of(leaf: Any) -> object:
+def _type_of(leaf: object) -> object:
     """Type of a leaf of the arguments, by which a program is found."""
     if type(leaf) in (float, int, bool):
         return type(leaf)
@@ -97,7 +97,7 @@ class Compiled(Generic[R]):
             return self._shared(options), (response,)
         return self._own(response, options), ()
 
-    def __call__(self, response: Function, *arguments: PyTree, **static: object) -> R:
+    def __call__(self, response: Function, *arguments: object, **static: object) -> R:
         """The function's value."""
         leaves = jax.tree.leaves((response, arguments))
         if inside(leaves):
@@ -109,7 +109,7 @@ class Compiled(Generic[R]):
         jitted, first = self._program(response, options)
         return jitted(*first, *arguments, **static)
 
-    def begin(self, response: Function, *arguments: PyTree, **static: object) -> R | None:
+    def begin(self, response: Function, *arguments: object, **static: object) -> R | None:
         """Trace the program of such arguments and compile it while the caller goes on; later calls wait for it.
 
         Only where the command line keeps programs. An error is raised by the call that waits.
@@ -134,14 +134,14 @@ class Compiled(Generic[R]):
             compiling(program.begun)
         return kept.put_together(jax.eval_shape(kept.call, *kept.given(leaves)))
 
-    def shapes(self, response: Function, *arguments: PyTree, **static: object) -> R:
+    def shapes(self, response: Function, *arguments: object, **static: object) -> R:
         """Shapes of the function's value; traced once for arguments of the same types."""
         program, first = self._program(response)
         jitted: Any = program
         found: R = jitted.eval_shape(*first, *arguments, **static)
         return found
 
-    def _chosen(self, response: Function, arguments: PyTree) -> Options:
+    def _chosen(self, response: Function, arguments: object) -> Options:
         """Options of the program; they are those of a processor."""
         return (*getattr(response, "compiler_options", ()), *self._options) if platform_of(arguments) == CPU else ()
 
@@ -172,7 +172,7 @@ class Compiled(Generic[R]):
             known = self._flat[key] = _Program(found)
         return known, leaves
 
-    def lowered(self, response: Function, *arguments: PyTree, **static: object) -> str:
+    def lowered(self, response: Function, *arguments: object, **static: object) -> str:
         """Text of the program, and of the Python functions that it calls back."""
         jitted, first = self._program(response)
         traced = jitted.trace(*first, *arguments, **static)
@@ -202,7 +202,7 @@ class Outcome(Record):
     status: Array = field("-", "`Status` values, any shape (angles, discs)", kind="integer")
 
 
-def evaluate(response: Response, errors: PyTree) -> tuple[Values, jax.Array]:
+def evaluate(response: Response, errors: object) -> tuple[Values, jax.Array]:
     """Values by name and the status of one unit.
 
     Raises:

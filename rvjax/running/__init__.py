@@ -5,13 +5,11 @@ Losses follow from the forces of the loaded equilibrium and exact sliding speeds
 
 from rvjax.running.back_driving import BackDriving, back_driving
 from rvjax.running.drag import DragFit, fit_drag
-from rvjax.running.formats.forms import FORMATS as FORMATS
-from rvjax.running.formats.head import Header as Header, units as units
-from rvjax.running.hysteresis import Hysteresis, hysteresis
 from rvjax.running.inputs import SHARES as SHARES
-from rvjax.running.joint import OF_JOINT as OF_JOINT, Joint, joint
+from rvjax.running.joint import OF_JOINT as OF_JOINT, Hysteresis, Joint, hysteresis, joint
 from rvjax.running.losses import Losses, losses
-from rvjax.running.sets import Turned as Turned, sign_of as sign_of, turned as turned
+from rvjax.running.outputs import Turned as Turned, sign_of as sign_of, turned as turned
+from rvjax.running.simulator_files import FORMATS as FORMATS, Header as Header, units as units
 
 __all__ = [
     "BackDriving",

@@ -1,5 +1,9 @@
-"""Checks that every function of friction needs: plan of a call, coefficients of the unit, bearings."""
+"""Inputs of every function of friction: kinds of reducers, plan of a call, coefficients of the unit, bearings.
 
+A kind says what slides where, besides ring pins and arm bearings, which all kinds have.
+"""
+
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -7,13 +11,108 @@ import jax.numpy as jnp
 
 from rvjax import status
 from rvjax._ground.choices import choose
-from rvjax.designs import Bearings, Friction, expect
+from rvjax.cycloidal import CycloidalReducer
+from rvjax.designs import Bearings, Friction, Inertia, RVReducer, expect
 from rvjax.errors import Errors
-from rvjax.life import check_alone, check_angles, check_places
+from rvjax.life import TurnPlan, check_alone, check_places
 from rvjax.loaded import Layout, Read, admit, check_input, unchecked
 from rvjax.records import PyTree, Scalar, concrete, promote, quantity
-from rvjax.running.kinds import KINDS, kind_of
 from rvjax.status import Gate, Status
+
+Inertias = tuple[Scalar, Scalar] | tuple[None, None]
+
+
+class Held(NamedTuple):
+    """Rotations in an elastic motion with the input held, and the ideal motion that it contains, rad."""
+
+    discs: jax.Array  # (d,)
+    cranks: jax.Array  # (c,)
+    carrier: jax.Array  # ()
+    ideal: jax.Array  # () of the carrier against the ring
+
+
+class FrictionKind(NamedTuple):
+    """Rates of motion refer to one radian of the output."""
+
+    joints: str  # place of the joints of `loaded` in `Friction`
+    joint_slip: Callable[[PyTree, jax.Array], Scalar]  # (design, eccentricity) -> m
+    supports: bool  # whether the supports of the cranks turn with the discs' forces, in the carrier
+    support_turns: Callable[[PyTree], float]
+    held: Callable[[Layout, Read, jax.Array], Held]
+    inertias: Callable[[PyTree], Inertias]  # rotor, output, at the output
+
+
+def _slip_of_meshes(design: RVReducer, eccentricity: jax.Array) -> Scalar:
+    """Eq. 5: pitch line of the base circle, seen from the carrier."""
+    return design.involute.sun_base_radius * (design.ratio - 1)
+
+
+def _slip_in_holes(design: CycloidalReducer, eccentricity: jax.Array) -> Scalar:
+    """Eq. 2."""
+    return eccentricity * design.cycloid.pin_count
+
+
+def _held_sun(layout: Layout, read: Read, q: jax.Array) -> Held:
+    radius = jnp.asarray(read.design.cranks.circle_radius)
+    rho = q[layout.inner + 2 : layout.carried : 3] / read.design.involute.planet_base_radius
+    return Held(q[2 : layout.inner : 3] / radius, rho, q[layout.carried] / radius, jnp.zeros((), q.dtype))
+
+
+def _held_shaft(layout: Layout, read: Read, q: jax.Array) -> Held:
+    """A shaft that is held against a carrier at rest turns with it against the ring, so that the ideal motion adds."""
+    radius = jnp.asarray(read.design.output.circle_radius)
+    carrier = q[layout.carried] / radius
+    turned = jnp.zeros_like(carrier) if read.design.member == "carrier" else carrier
+    ideal = -turned / read.design.cycloid.pin_count
+    return Held(q[2 : layout.inner : 3] / radius, turned[None], carrier, ideal)
+
+
+def _inertias_of_rv(design: RVReducer) -> Inertias:
+    """Eqs. 30 and 31. A crank turns at -zc of the output, against the housing."""
+    parts: Inertia | None = design.inertia
+    if parts is None:
+        return None, None
+    cycloid, cranks, discs = design.cycloid, design.cranks.count, design.cycloid.disc_count
+
+    def summed(value: Scalar, members: int) -> jax.Array:
+        return jnp.sum(jnp.broadcast_to(value, (members,)))
+
+    spinning = summed(parts.planet_inertia, cranks) + summed(parts.crank_inertia, cranks)
+    rotor = parts.sun_inertia * design.ratio**2 + spinning * cycloid.disc_teeth**2
+    rotor += summed(parts.disc_mass, discs) * (cycloid.disc_teeth * cycloid.eccentricity) ** 2
+    carried = summed(parts.planet_mass, cranks) + summed(parts.crank_mass, cranks)
+    output = parts.output_inertia + carried * design.cranks.circle_radius**2 + summed(parts.disc_inertia, discs)
+    return rotor, output
+
+
+KINDS: dict[type, FrictionKind] = {
+    RVReducer: FrictionKind(
+        joints="gear_meshes",
+        joint_slip=_slip_of_meshes,
+        supports=True,
+        support_turns=lambda design: design.cycloid.pin_count,
+        held=_held_sun,
+        inertias=_inertias_of_rv,
+    ),
+    CycloidalReducer: FrictionKind(
+        joints="output_pins",
+        joint_slip=_slip_in_holes,
+        supports=False,
+        support_turns=lambda design: abs(design.ratio),
+        held=_held_shaft,
+        inertias=lambda design: (None, None),
+    ),
+}
+
+
+def kind_of(design: PyTree) -> FrictionKind:
+    """Entry of `KINDS` for a design.
+
+    Args:
+        design: one of `KINDS`.
+    """
+    return next(kind for cls, kind in KINDS.items() if isinstance(design, cls))
+
 
 SHARES = {
     "ring_pins": "ring_pin_friction",
@@ -29,20 +128,6 @@ SHARES = {
     "output_viscous": "drag_friction",
 }
 """Error by which each coefficient of a unit is larger than the nominal one."""
-_NEAR = 24  # samples of a crank turn from which on neighbours have similar displacements
-
-
-class Plan(NamedTuple):
-    """Static settings of a program."""
-
-    layout: Layout
-    samples: int
-    crank_turns: int
-
-    @property
-    def near(self) -> bool:
-        """True if the equilibrium at the sample before is a better start than the linear step."""
-        return self.samples >= _NEAR
 
 
 def check_call(
@@ -53,7 +138,7 @@ def check_call(
     supports: tuple[str, str, str],
     samples: int = 1,
     turns: float = 1.0,
-) -> tuple[Plan, Friction]:
+) -> tuple[TurnPlan, Friction]:
     """The plan of a call, and the friction that it takes.
 
     Args:
@@ -97,7 +182,7 @@ def check_call(
         if bearings.support is None:
             raise ValueError("Bearings.support = None: Friction.support_bearings needs it")
         check_places(bearings, design.counts, "Bearings")
-    return Plan(layout, int(samples), check_angles(samples, turns, layout.pins)), friction
+    return TurnPlan.of(layout, samples, turns), friction
 
 
 def check_direction(direction: str) -> float:
@@ -124,7 +209,7 @@ class Call(NamedTuple):
 
 
 def entered(
-    plan: Plan,
+    plan: TurnPlan,
     design: PyTree,
     errors: Errors,
     friction: Friction,

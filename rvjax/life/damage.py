@@ -1,0 +1,309 @@
+"""Ratings of a roller bearing, and its damage by a history of loads.
+
+Dynamic and static rating are those of ISO 281 and ISO 76, in N and mm. Damage is `basic`, by the size
+of the loads, or `raceway`, point by point. A damage of 1 is that of a million revolutions at the rating. It is finite
+and 0 without load; lives are inverted last.
+"""
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import DTypeLike
+
+from rvjax._jax.elementary import power
+from rvjax._reducer.bearings import RollerBearing
+from rvjax.designs import expect
+from rvjax.records import concrete, promote, quantity
+from rvjax.status import Check, Status
+from rvjax.units import mm
+
+REDUCTION = 0.83  # lambda nu of ISO 281: the rating of a whole bearing against that of its laminae
+_FACTOR = 551.13373 * 0.377 * REDUCTION  # Eq. 2
+_INNER, _OUTER = 0.378, 0.364  # Eq. 5
+
+
+LEAST = 0.5  # of C / C0 of the rollers: makers' ratings of one bearing differ less
+
+
+class Ratings(NamedTuple):
+    """Load ratings of the rollers of one bearing, N."""
+
+    dynamic: jax.Array  # C
+    static: jax.Array  # C0
+    inner: jax.Array  # Qi, of one roller on the inner ring
+    outer: jax.Array  # Qe
+
+
+def dynamic_rating(bearing: RollerBearing) -> jax.Array:
+    """Basic dynamic radial load rating C: 90 % of such bearings reach a million revolutions under it. ISO 281.
+
+    Args:
+        bearing: its `capacity` if given, else its rollers.
+
+    Returns:
+        () N; NaN where traced dimensions are not finite or do not fit.
+
+    Raises:
+        ValueError: `bearing` is no RollerBearing.
+    """
+    expect(bearing, "life.dynamic_rating", RollerBearing)
+    return _rated(bearing)[0]
+
+
+def static_rating(bearing: RollerBearing) -> jax.Array:
+    """Basic static radial load rating C0: a permanent dent of 1e-4 of the roller diameter. ISO 76.
+
+    Args:
+        bearing: its `static_capacity` if given, else its rollers.
+
+    Returns:
+        () N; NaN where traced dimensions are not finite or do not fit.
+
+    Raises:
+        ValueError: `bearing` is no RollerBearing.
+    """
+    expect(bearing, "life.static_rating", RollerBearing)
+    return _rated(bearing)[1]
+
+
+@jax.jit
+def _rated(bearing: RollerBearing) -> tuple[jax.Array, jax.Array]:
+    bearing = promote(bearing)
+    failed = [failed for failed, _ in unfit(bearing)]
+    good = ~(failed[0] | failed[1])
+    found = ratings(jax.tree.map(lambda x, spare: jnp.where(good, x, spare), bearing, harmless(bearing)))
+    return jnp.where(good, found.dynamic, jnp.nan), jnp.where(good, found.static, jnp.nan)
+
+
+def check_ratings(bearing: RollerBearing, name: str) -> None:
+    """Raise ValueError for a dynamic rating that is too small for the static rating.
+
+    Both are ratings of the same rollers, which fix C / C0 (Eqs. 3, 4). No standard bounds the ratings that a maker
+    gives; less than half of that ratio is an input error here, such as a wrong unit. Traced numbers are not checked.
+
+    Args:
+        bearing: with or without given ratings.
+        name: of the bearing, for the message.
+
+    Raises:
+        ValueError: names the rating, its value and its unit.
+    """
+    if (bearing.capacity is None and bearing.static_capacity is None) or not concrete(*jax.tree.leaves(bearing)):
+        return
+    of_rollers = _rated(bearing.replace(capacity=None, static_capacity=None))
+    dynamic, static = (np.asarray(x) for x in _rated(bearing))
+    least = LEAST * static * np.asarray(of_rollers[0] / of_rollers[1])
+    if np.any(dynamic < least):
+        given = "capacity" if bearing.capacity is not None else "static_capacity"
+        value, bound = (quantity(x, "N") for x in (getattr(bearing, given), least))
+        rule = f"must be at least {bound}" if given == "capacity" else f"needs a dynamic rating of at least {bound}"
+        raise ValueError(
+            f"{name}.{given} = {value}: {rule}, {LEAST:g} of what ISO 281 and ISO 76 give these rollers for C0 = "
+            f"{quantity(static, 'N')}; check the unit"
+        )
+
+
+def unfit(bearing: RollerBearing) -> tuple[Check, Check]:
+    """Conditions under which no such bearing exists, each with its status.
+
+    Args:
+        bearing: numbers as arrays.
+    """
+    numbers = jax.tree.leaves(bearing)
+    finite = jnp.all(jnp.stack([jnp.all(jnp.abs(x) < _largest(x)) for x in numbers]))
+    given = (bearing.capacity, bearing.static_capacity)
+    positive = [bearing.roller_diameter, bearing.roller_length, bearing.pitch_diameter, bearing.rating_factor]
+    positive += [x for x in given if x is not None]
+    fits = jnp.all(jnp.stack([x > 0 for x in positive]))
+    fits &= bearing.roller_diameter < bearing.pitch_diameter
+    most = bearing.pitch_diameter * math.sin(math.pi / bearing.rollers)
+    fits &= bearing.roller_diameter <= most * (1 + 1e-6)  # float32 too
+    fits &= (bearing.contact_angle >= 0) & (bearing.contact_angle < math.pi / 2)
+    return (~finite, Status.NONFINITE), (~fits, Status.INVALID_GEOMETRY)
+
+
+def _largest(x: jax.Array) -> float:
+    return float(jnp.finfo(x.dtype).max) ** (1 / 3)  # products of three stay in the arithmetic
+
+
+def harmless(bearing: RollerBearing, contact_angle: float = 0.0) -> RollerBearing:
+    """A bearing of the same structure that exists.
+
+    Args:
+        bearing: numbers as arrays.
+        contact_angle: rad.
+    """
+    spare = dict(roller_diameter=1e-3, roller_length=1e-3, contact_angle=contact_angle)
+    spare |= dict(pitch_diameter=2e-3 / math.sin(math.pi / bearing.rollers))
+    return jax.tree_util.tree_map_with_path(lambda path, _: spare.get(path[-1].name, 1.0), bearing)
+
+
+def ratings(bearing: RollerBearing) -> Ratings:
+    """All ratings of a bearing that exists.
+
+    Args:
+        bearing: numbers as arrays.
+    """
+    z, cosine = bearing.rollers, jnp.cos(bearing.contact_angle)
+    diameter, length = bearing.roller_diameter / mm, bearing.roller_length / mm
+    g = bearing.roller_diameter * cosine / bearing.pitch_diameter  # Eq. 1
+    ratio = power((1 - g) / (1 + g), 143 / 108)
+    shape = power(1 + power(1.04 * ratio, 4.5), -2 / 9)
+    fc = _FACTOR * power(g, 2 / 9) * power(1 - g, 29 / 27) * power(1 + g, -1 / 4) * shape  # Eq. 2
+    dynamic = bearing.capacity
+    if dynamic is None:  # Eq. 3
+        dynamic = bearing.rating_factor * fc * power(length * cosine, 7 / 9) * z**0.75 * power(diameter, 29 / 27)
+    static = bearing.static_capacity
+    if static is None:
+        static = 44 * (1 - g) * z * length * diameter * cosine  # Eq. 4
+    t = power(1.038 * ratio, 4.5)
+    roller = dynamic / (REDUCTION * z * cosine)
+    return Ratings(
+        dynamic=dynamic,
+        static=static,
+        inner=roller / _INNER * power(1 + t, 2 / 9),  # Eq. 5
+        outer=roller / _OUTER * power(1 + 1 / t, 2 / 9),
+    )
+
+
+METHODS = ("basic", "raceway", "slices")
+LIFE, WEIBULL = 10 / 3, 9 / 8  # exponent of life (Eq. 6); slope of a system (Eqs. 8, 15, 24)
+
+_RING = 32  # points of a ring; Eq. 8 to 1e-7; halves of them fill the vectors of a processor
+
+
+def mean_cosine(m: float) -> float:
+    """Mean of cos+^m over a turn. Eq. 9."""
+    return math.gamma((m + 1) / 2) / (2 * math.sqrt(math.pi) * math.gamma(m / 2 + 1))
+
+
+J4, J45 = mean_cosine(40 / 9) ** (1 / 4), mean_cosine(5.0) ** (2 / 9)  # moving load; stationary load
+
+
+def _power_coefficients() -> list[float]:
+    """Coefficients of c^2, c^3 .. in a polynomial for c^(40/9), 0 <= c <= 1, within 5e-9; faster than powers."""
+    c = (1 - np.cos(np.pi * (np.arange(1000) + 0.5) / 1000)) / 2
+    columns = np.polynomial.chebyshev.chebvander(2 * c - 1, 12) * (c * c)[:, None]
+    found = np.linalg.lstsq(columns, c ** (40 / 9), rcond=None)[0]
+    series = np.polynomial.Chebyshev(found, domain=[0, 1])
+    return [float(x) for x in series.convert(kind=np.polynomial.Polynomial, domain=[-1, 1]).coef]
+
+
+_POWER = _power_coefficients()
+
+
+def _passed(cosine: jax.Array) -> jax.Array:
+    """c^(40/9) of cosines from 0 to 1."""
+    total = jnp.zeros_like(cosine)
+    for coefficient in reversed(_POWER):
+        total = total * cosine + coefficient
+    return total * cosine * cosine
+
+
+class Damage(NamedTuple):
+    """By one history."""
+
+    load: jax.Array  # P, equivalent load, () N
+    rate: jax.Array  # 1e6 / life in revolutions, ()
+
+
+def magnitude(force: jax.Array) -> jax.Array:
+    """Size of forces (..., 2), with derivative 0 at 0.
+
+    Args:
+        force: (..., 2) N.
+    """
+    largest = scale(force)
+    square = jnp.sum((force / largest) ** 2, axis=-1)
+    return largest * jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
+
+
+def scale(force: jax.Array) -> jax.Array:
+    """Largest component of all forces, without derivative; 1 where all are 0.
+
+    Args:
+        force: any shape.
+    """
+    largest = jax.lax.stop_gradient(jnp.max(jnp.abs(force)))
+    return jnp.where(largest > 0, largest, 1)
+
+
+def by_load(load: jax.Array, ratings: Ratings) -> Damage:
+    """Damage of a million revolutions under an equivalent load. Eq. 6.
+
+    Args:
+        load: () N.
+        ratings: of the bearing.
+    """
+    return Damage(load, power(load / ratings.dynamic, LIFE))
+
+
+def basic(size: jax.Array, weight: jax.Array, ratings: Ratings) -> Damage:
+    """Power mean of the loads over the revolutions. Eq. 7.
+
+    Args:
+        size: of the loads, (n,) N.
+        weight: shares of the revolutions, (n,).
+        ratings: of the bearing.
+    """
+    largest = scale(size)
+    return by_load(largest * power(jnp.sum(weight * power(size / largest, LIFE)), 1 / LIFE), ratings)
+
+
+def raceway(force: jax.Array, angle: jax.Array, weight: jax.Array, ratings: Ratings) -> Damage:
+    """Damage point by point of both rings, no clearance. Eqs. 8-10.
+
+    Args:
+        force: (n, 2) N, in the frame of the outer ring.
+        angle: of the inner ring against the outer one, (n,) rad.
+        weight: shares of the revolutions, (n,).
+        ratings: of the bearing.
+    """
+    largest = scale(force)
+    force = force / largest
+    size = magnitude(force)
+    x = power(J45 * ratings.inner / (J4 * ratings.outer), 4.5)
+
+    half = points(_RING, force.dtype)[:, : _RING // 2]  # a force loads each of these points, or the one opposite
+
+    direction = force / jnp.where(size > 0, size, 1)[:, None]
+    share = (weight * size**4)[:, None]
+
+    def ring(direction: jax.Array) -> jax.Array:
+        """E^(9/2) of a ring."""
+        cosine = (
+            direction[:, :1] * half[:1] + direction[:, 1:] * half[1:]
+        )  # (n, points); products of matrices are slower
+        passed = share * _passed(jnp.abs(cosine))  # (F.u)^(40/9) |F|^(-4/9)
+        near = jnp.where(cosine > 0, passed, 0)
+        damage = jnp.concatenate([jnp.sum(near, axis=0), jnp.sum(passed - near, axis=0)])
+        return jnp.mean(power(damage, WEIBULL))
+
+    inner, outer = ring(turned_back(direction, angle)) / J4**4.5, ring(direction) / J45**4.5
+    return by_load(largest * power((inner + x * outer) / (1 + x), 2 / 9), ratings)
+
+
+def points(number: int, dtype: DTypeLike) -> jax.Array:
+    """Unit vectors to points of a ring, (2, number).
+
+    Args:
+        number: of points.
+        dtype: of the result.
+    """
+    angle = 2 * np.pi * np.arange(number) / number
+    return jnp.asarray(np.stack([np.cos(angle), np.sin(angle)]), dtype)
+
+
+def turned_back(force: jax.Array, angle: jax.Array) -> jax.Array:
+    """Forces in the frame of the inner ring.
+
+    Args:
+        force: (n, 2) N, in the frame of the outer ring.
+        angle: of the inner ring, (n,) rad.
+    """
+    cosine, sine = jnp.cos(angle), jnp.sin(angle)
+    x, y = force[:, 0], force[:, 1]
+    return jnp.stack([cosine * x + sine * y, cosine * y - sine * x], axis=-1)
