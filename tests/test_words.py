@@ -76,6 +76,15 @@ def test_a_page_has_short_sentences(page):
     assert long_sentences(page.read_text("utf-8")) == []
 
 
+BLOCK = re.compile(r"^ *(```|:::).*?^ *\1$|<!--.*?-->|^( {4}|\|).*?$", re.DOTALL | re.MULTILINE)
+
+
+def test_the_docs_are_short():
+    """Words of all pages, without blocks of code, equations, tables and comments."""
+    texts = [BLOCK.sub("", page.read_text("utf-8")) for page in PAGES if ROOT / "docs" in page.parents]
+    assert 10_000 < sum(len(text.split()) for text in texts) <= 20_000
+
+
 PLAIN = ["rvjax", "tests/oracles", "benchmarks", "docs"]
 """Folders whose comments, docstrings and messages use the terms of the field."""
 NAMES = re.compile(r"^\s+\w+: |\b[A-Z][A-Z_]+\b|\{[^{}]*\}|^[rf]*['\"][\w.]*(?: \| \w+)*['\"]$", re.MULTILINE)
