@@ -199,3 +199,25 @@ def test_an_empty_list_is_refused_where_it_is_given(among):
     else:
         with pytest.raises(ValueError, match=r"Variable\.among: the list is empty"):
             Variable(1.0, 2.0, among=among)
+
+
+def test_a_flat_curved_valley_is_followed_to_its_end():
+    """Along d = f^2 each step of f by 0.1 saves 2 % of the cost; aside from it a deviation of 0.07 costs a quarter.
+
+    At d = f = 1 the half-width is 0.5/0.4 of the one at d = f = 0, and the cost inversely so.
+    """
+    found, best = (
+        allocate(
+            lambda e, v: e["a"] + 20 * (v["d"] - v["f"] ** 2) ** 2 - 0.1 * v["f"],
+            {"a": Tolerance.symmetric(0.1)},
+            Requirement(upper=0.4, target=0.99),
+            costs={"a": COST},
+            variables={"d": Variable(low, 1.0, low), "f": Variable(low, 1.0, 2 * low if low < 0.5 else low)},
+            samples=4096,
+            certificate_samples=20_000,
+        )
+        for low in (0.1, 0.999)
+    )
+    assert found.status == "OPTIMAL" and found.residual < 0.01
+    assert found.values == pytest.approx({"d": 1.0, "f": 1.0}, abs=1e-3)
+    assert found.cost == pytest.approx(best.cost, rel=2e-3)

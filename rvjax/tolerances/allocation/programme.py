@@ -260,12 +260,12 @@ class Programme:
     def _learn(self, here: Look, there: Look) -> None:
         """Bend the model so that it has the derivatives seen at another look.
 
-        The change is the least one that is symmetric (Powell 1970). Derivatives of few units count less two standard
-        errors, and bend the model along mid-points and numbers alone, by their part of the step: it is less wrong
-        along half-widths.
+        The change is the least one that is symmetric (Powell 1970), along mid-points and numbers if there are any, by
+        their part of the step: the model is less wrong along half-widths. Derivatives of few units count less two
+        standard errors.
         """
         whole = (there.x - here.x) / self.decisions.reach
-        bending = np.arange(len(whole)) >= (self._first if self.constraints.problem.costly else 0)
+        bending = np.arange(len(whole)) >= (self._first if self._first < len(whole) else 0)
         step = np.where(bending, whole, 0.0)
         square = float(step @ step)
         if math.sqrt(square) < STEP:
