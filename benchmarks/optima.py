@@ -42,8 +42,8 @@ FROZEN, FOLDER = Path(__file__).with_suffix(".json"), ROOT / "build" / "optima"
 DEARER, SLOWER, BELOW, QUIET = 1.003, 1.25, 0.999, 0.1  # QUIET: cores that other work may use
 ORDER = ("OPTIMAL", "SUBOPTIMAL", "MAX_STEPS", "NOT_CERTIFIED", "INFEASIBLE")
 CERTIFIED = ORDER[:3]
-VALUES = {"respond", "_respond_on", "_solved", "_solved_on"}  # programs that give values of units, and gradients
-SLOPES = {"pulled", "_pulled", "_pulled_on", "slopes", "_values_and_gradients"}
+VALUES = {"respond", "_solved"}  # programs that give values of units, and gradients
+SLOPES = {"pulled", "_pulled", "slopes", "_values_and_gradients"}
 HEAD = f"{'problem':36} {'status':14} {'cost':>9} {'ratio':>7} {'price':>7} {'units':>11} {'gradients':>9} {'CPU s':>6}"
 
 Row = dict[str, Any]

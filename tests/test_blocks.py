@@ -100,9 +100,9 @@ def test_calls_of_a_gpu_are_larger_and_give_the_same(monkeypatch, platform, solv
     seen = []
 
     def noting(call):
-        def noted(response, population, errors, *rest):
+        def noted(response, population, errors, *rest, **static):
             seen.append(errors.shape[1])
-            return call(response, population, errors, *rest)
+            return call(response, population, errors, *rest, **static)
 
         return noted
 

@@ -115,18 +115,6 @@ class _Question(NamedTuple):
         return _Question(_Turned(study.design, given, torques), Population.of(tolerances))
 
 
-def begin_losses(study: Study, tolerances: PyTree, *, units: int = UNITS) -> None:
-    """Begin the program of `losses_if_any`, see `Compiled.begin`.
-
-    Args:
-        study: as there.
-        tolerances: as there.
-        units: as there.
-    """
-    if (asked := _Question.of(study, tolerances)) is not None:
-        _of_units.begin(*asked, np.full((asked.population.numbers, units + 1), np.nan))
-
-
 def losses_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> UnitLosses | None:
     """The losses of a study that requires an output of friction; None for another study.
 
