@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import inspect
 import math
 import warnings
 import weakref
@@ -59,7 +58,7 @@ def doubt_once(design: object, where: str) -> None:
         return
     if found := steep(design) + doubtful(design, ("m",)) + doubtful(design, STIFFNESS, FAR_STIFFNESS):
         more = f" (and {len(found) - 1} more values)" if len(found) > 1 else ""
-        warnings.warn(f"{where}: design.{found[0]}{more}", ImplausibleDesign, stacklevel=_caller())
+        warnings.warn(f"{where}: design.{found[0]}{more}", ImplausibleDesign, stacklevel=3)
 
 
 def accept(design: object) -> bool:
@@ -197,11 +196,3 @@ def shown(value: Scalar, unit: str) -> str:
     """
     name, size = ("r/min", rpm) if unit == "rad/s" else suited(float(value), unit)
     return with_unit(float(value) / size, name)
-
-
-def _caller() -> int:
-    """Level of the first caller outside rvjax, for a warning."""
-    frame, level = inspect.currentframe(), 0
-    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in ("rvjax", "jax"):
-        frame, level = frame.f_back, level + 1
-    return level

@@ -12,7 +12,6 @@ from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.loaded.case import placed, solve, turned
-from rvjax.loaded.equilibrium import newton_first
 from rvjax.loaded.kinds import admit, check_input, prepare
 from rvjax.loaded.newton import Found
 from rvjax.loaded.system import Layout
@@ -65,7 +64,7 @@ def torsion(
         ValueError: as `equilibrium`.
     """
     layout = check_input(design, errors, contact, carrier, sun)
-    return newton_first(_torsion, layout, design, errors, input_angle, rated_torque)
+    return _torsion(layout, design, errors, input_angle, rated_torque)
 
 
 @quick(0)
