@@ -16,11 +16,11 @@ from rvjax.records import PyTree
 Result = TypeVar("Result")
 
 
-_traced_late = Primitive("traced_late")
-_traced_late.multiple_results = True
+_batched_kernel = Primitive("batched_kernel")
+_batched_kernel.multiple_results = True
 
 
-class TracedLate:
+class BatchedKernel:
     """A function with a rule of its own under `jax.vmap`, traced once: when the program that calls it is lowered.
 
     `jax.custom_batching.custom_vmap` traces it for one case and again at every level of `jax.vmap`: two or three times
@@ -41,7 +41,7 @@ class TracedLate:
     def __call__(self, *arguments: PyTree) -> PyTree:
         """The results."""
         leaves, tree = jax.tree.flatten(varying.like(arguments))
-        found = _traced_late.bind(*leaves, late=self, tree=tree)
+        found = _batched_kernel.bind(*leaves, kernel=self, tree=tree)
         return jax.tree.unflatten(jax.tree.structure(self._shapes(*arguments)), found)
 
     def flat(self, *leaves: Any, tree: Any) -> list[jax.Array]:
@@ -54,17 +54,17 @@ class TracedLate:
         return [leaves[0].update(shape=leaf.shape, dtype=leaf.dtype, weak_type=False) for leaf in found]
 
 
-@functools.partial(jax.jit, static_argnames=("late", "tree"))
-def _computed(*leaves: Any, late: TracedLate, tree: Any) -> list[jax.Array]:
-    return _traced_late.bind(*leaves, late=late, tree=tree)
+@functools.partial(jax.jit, static_argnames=("kernel", "tree"))
+def _computed(*leaves: Any, kernel: BatchedKernel, tree: Any) -> list[jax.Array]:
+    return _batched_kernel.bind(*leaves, kernel=kernel, tree=tree)
 
 
 def _lowered(platform: str) -> Callable[..., Any]:
     """The rule that lowers the function for a platform."""
 
-    def computed(*leaves: Any, late: TracedLate, tree: Any) -> list[jax.Array]:
+    def computed(*leaves: Any, kernel: BatchedKernel, tree: Any) -> list[jax.Array]:
         with blocks.lowering(platform):
-            return late.flat(*leaves, tree=tree)
+            return kernel.flat(*leaves, tree=tree)
 
     lower = mlir.lower_fun(computed, multiple_results=True)
 
@@ -75,20 +75,20 @@ def _lowered(platform: str) -> Callable[..., Any]:
     return rule
 
 
-def _batched(leaves: Any, axes: Any, *, late: TracedLate, tree: Any) -> tuple[list[jax.Array], list[int]]:
+def _batched(leaves: Any, axes: Any, *, kernel: BatchedKernel, tree: Any) -> tuple[list[jax.Array], list[int]]:
     own = [axis is not None for axis in axes]
     size = next(leaf.shape[axis] for leaf, axis, is_own in zip(leaves, axes, own) if is_own)
     moved = [jnp.moveaxis(leaf, axis, 0) if is_own else leaf for leaf, axis, is_own in zip(leaves, axes, own)]
-    assert late.rule is not None
-    found = jax.tree.leaves(late.rule(size, jax.tree.unflatten(tree, own), *jax.tree.unflatten(tree, moved)))
+    assert kernel.rule is not None
+    found = jax.tree.leaves(kernel.rule(size, jax.tree.unflatten(tree, own), *jax.tree.unflatten(tree, moved)))
     return found, [0] * len(found)
 
 
-_traced_late.def_impl(_computed)
-_traced_late.def_abstract_eval(lambda *leaves, late, tree: late.types(*leaves, tree=tree))
-batching.primitive_batchers[_traced_late] = _batched
-mlir.register_lowering(_traced_late, _lowered(blocks.GPU))
-mlir.register_lowering(_traced_late, _lowered(blocks.CPU), platform=blocks.CPU)
+_batched_kernel.def_impl(_computed)
+_batched_kernel.def_abstract_eval(lambda *leaves, kernel, tree: kernel.types(*leaves, tree=tree))
+batching.primitive_batchers[_batched_kernel] = _batched
+mlir.register_lowering(_batched_kernel, _lowered(blocks.GPU))
+mlir.register_lowering(_batched_kernel, _lowered(blocks.CPU), platform=blocks.CPU)
 
 
 def along_lanes(function: Callable[..., Result]) -> Callable[..., Result]:

@@ -18,7 +18,7 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from rvjax._ground.choices import choose
-from rvjax._jax.batching import TracedLate, along_lanes
+from rvjax._jax.batching import BatchedKernel, along_lanes
 from rvjax._jax.blocks import ROLLER_CASES
 from rvjax._jax.elementary import LARGEST_ANGLE
 from rvjax._reducer.plausible import checked
@@ -100,7 +100,7 @@ def _equilibrium_jvp(law: str, teeth: int, primals: PyTree, tangents: PyTree) ->
 @functools.lru_cache(maxsize=64)
 def _batched(law: str, teeth: int) -> Callable[[Case], Found]:
     """Batch (cases, ...) -> Found (cases, ...); vmap makes a larger batch of it."""
-    return along_lanes(TracedLate(functools.partial(_in_blocks, law, teeth), functools.partial(_shapes, teeth)))
+    return along_lanes(BatchedKernel(functools.partial(_in_blocks, law, teeth), functools.partial(_shapes, teeth)))
 
 
 def _shapes(teeth: int, case: Case) -> PyTree:

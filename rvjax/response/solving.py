@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.blocks import SLOPED, SOLVED, calls
-from rvjax._jax.marked import Marked
+from rvjax._jax.solved_state import Marked
 from rvjax.population import Population
 from rvjax.records import Record
 from rvjax.response.devices import mesh_of, on, units_devices
