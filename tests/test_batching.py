@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rvjax._jax.batching import BatchedKernel
+from rvjax._jax.kernels import BatchedKernel
 
 
 def late():

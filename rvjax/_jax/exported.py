@@ -1,7 +1,9 @@
 """Traced programs, which the command line keeps for its next run: tracing takes longer than loading compiled code.
 
 A program is found by its function, the structure and types of its arguments, the source of rvjax, the versions of
-JAX and the settings of JAX. A file that does not load is traced and written again.
+JAX and the settings of JAX. Its file is that of `jax.export`, with the structure of its results. A file that does not
+load is traced and written again. Gain: the first values of 1,024 units of `rv-40e-whole` take 1.9 instead of 24 CPU s
+in a second run, the gradients of 256 units 1.4 instead of 34.
 """
 
 import contextlib
@@ -21,7 +23,7 @@ import jaxlib.version
 import numpy as np
 
 from rvjax._ground.files import write_atomically
-from rvjax._jax.blocks import platform_of, spread
+from rvjax._jax.sizes import platform_of, spread
 from rvjax.records import Array, PyTree, Scalar
 
 SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision", "jax_debug_nans", "jax_numpy_dtype_promotion")

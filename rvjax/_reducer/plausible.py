@@ -12,8 +12,8 @@ import jax
 import numpy as np
 
 from rvjax import catalogue
-from rvjax._jax import arguments
-from rvjax._jax.compile_cache import ONCE, quick
+from rvjax._jax import checks
+from rvjax._jax.programs import ONCE, quick
 from rvjax._reducer import flank
 from rvjax.records import PyTree, Scalar, concrete
 from rvjax.units import rpm, suited, with_unit
@@ -39,8 +39,8 @@ _seen: "dict[int, weakref.ref[object]]" = {}  # designs by identity: records of 
 
 
 def checked(function: Callable[P, R]) -> Callable[P, R]:
-    """Check the arguments of a model as `arguments.checked` does, and doubt its design."""
-    return arguments.checked(function, doubt_once)
+    """Check the arguments of a model as `checks.checked` does, and doubt its design."""
+    return checks.checked(function, doubt_once)
 
 
 def doubt_once(design: object, where: str) -> None:

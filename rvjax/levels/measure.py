@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import models
-from rvjax._jax.compile_cache import Options, understood
+from rvjax._jax.programs import Options, understood
 from rvjax.levels.choice import design_numbers, reach
 from rvjax.levels.table import Level, Model, Table
 from rvjax.outputs import Cases, Reading, Way

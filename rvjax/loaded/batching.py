@@ -12,8 +12,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rvjax._jax.batching import BatchedKernel
-from rvjax._jax.blocks import EQUILIBRIA, GROUP
+from rvjax._jax.kernels import BatchedKernel
+from rvjax._jax.sizes import EQUILIBRIA, GROUP
 from rvjax.loaded.system import Layout, System
 from rvjax.records import PyTree
 

@@ -17,8 +17,8 @@ import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 
-from rvjax._jax.batching import folded, stored
-from rvjax._jax.blocks import EQUILIBRIA
+from rvjax._jax.kernels import folded, stored
+from rvjax._jax.sizes import EQUILIBRIA
 from rvjax.loaded import laws
 from rvjax.loaded.batching import take
 from rvjax.loaded.contacts import (

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.blocks import default_platform
+from rvjax._jax.sizes import default_platform
 from rvjax.population import TURN, Population, SobolPoints, drawn, key_of, root_key
 from rvjax.response.response import EVERYWHERE, NUMBERS, Response, Values, respond
 

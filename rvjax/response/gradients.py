@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.blocks import PULLED, calls
+from rvjax._jax.sizes import PULLED, calls
 from rvjax.population import Population
 from rvjax.response.devices import mesh_of, on
 from rvjax.response.response import NUMBERS, UNITS, Response, evaluate, is_costly, per_response, response_names

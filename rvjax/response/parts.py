@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.blocks import PULLED, calls
+from rvjax._jax.sizes import PULLED, calls
 from rvjax.population import Population
 from rvjax.response.devices import Evaluator
 from rvjax.response.gradients import elements, gradients

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.blocks import SLOPED, SOLVED, calls
+from rvjax._jax.sizes import SLOPED, SOLVED, calls
 from rvjax._jax.solved_state import Marked
 from rvjax.population import Population
 from rvjax.records import Record
