@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.batching import folded, stored
+from rvjax._jax.kernels import folded, stored
 from rvjax.loaded.system import Contacts, Group, Layout, System, over_pins
 
 

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.compile_cache import QUICK, quick
+from rvjax._jax.programs import QUICK, quick
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.loaded.encoder import Reading, reading

@@ -11,15 +11,14 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from rvjax._jax.compile_cache import quick
-from rvjax._jax.varying import scan
+from rvjax._jax.kernels import scan
+from rvjax._jax.programs import quick
 from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
 from rvjax.loaded.balance import forces
 from rvjax.loaded.case import placed, pressures, solve, turned
-from rvjax.loaded.equilibrium import newton_first
 from rvjax.loaded.inputs import Read, check_teeth
 from rvjax.loaded.kinds import KINDS, admit, check_input, check_kind, kind_of, named, prepare
 from rvjax.loaded.newton import Found
@@ -186,7 +185,7 @@ def revolution(
     if samples < 1:
         raise ValueError(f"samples = {samples}: must be at least 1")
     turns = 1 / layout.pins if turns is None else turns
-    return newton_first(partial(_revolution, samples), layout, design, errors, output_torque, turns)
+    return _revolution(samples, layout, design, errors, output_torque, turns)
 
 
 @quick(0, 1)

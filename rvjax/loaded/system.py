@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax._jax.batching import folded
+from rvjax._jax.kernels import folded
 from rvjax.loaded import laws
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import optimize
 
 from rvjax import loaded
-from rvjax._jax.batching import in_blocks
+from rvjax._jax.kernels import in_blocks
 from rvjax.designs import Contact, CrankStage, CycloidStage, InvoluteStage, RVReducer, Stiffness
 from rvjax.errors import RVErrors
 from rvjax.records import Scalar
