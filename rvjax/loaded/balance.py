@@ -17,7 +17,7 @@ from jax.typing import DTypeLike
 from rvjax._jax.kernels import BatchedKernel, like
 from rvjax._jax.sizes import EQUILIBRIA, GROUP
 from rvjax.loaded.hessian import hessian, solve
-from rvjax.loaded.newton import Found, minimise
+from rvjax.loaded.newton import Minimum, minimise
 from rvjax.loaded.system import Contacts, Layout, System, contacts, gradient
 from rvjax.records import PyTree
 
@@ -131,7 +131,7 @@ def in_blocks(kernel: Kernel, arguments: tuple[PyTree, ...]) -> PyTree:
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def balance(layout: Layout, system: System, start: jax.Array) -> Found:
+def balance(layout: Layout, system: System, start: jax.Array) -> Minimum:
     """The minimum of the energy; carries no derivative.
 
     Args:
@@ -139,11 +139,11 @@ def balance(layout: Layout, system: System, start: jax.Array) -> Found:
         system: the case.
         start: (n,), NaN: the linear step of `newton`, or inf: nothing is solved.
     """
-    return in_lanes(minimise, layout, Found.shapes)(system, start)
+    return in_lanes(minimise, layout, Minimum.shapes)(system, start)
 
 
 @balance.defjvp
-def _balance_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[Found, PyTree]:
+def _balance_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[Minimum, PyTree]:
     found = balance(layout, *primals)
     return found, jax.custom_derivatives.zero_from_primal(found)
 
@@ -234,7 +234,7 @@ def _compliance(layout: Layout, system: System, q: jax.Array, load: jax.Array) -
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def attach(layout: Layout, system: System, q: jax.Array) -> jax.Array:
+def with_implicit_derivative(layout: Layout, system: System, q: jax.Array) -> jax.Array:
     """q unchanged, with the derivatives of the equilibrium: dq = -H^-1 d(grad E) at fixed q. Eq. 23.
 
     Args:
@@ -245,9 +245,9 @@ def attach(layout: Layout, system: System, q: jax.Array) -> jax.Array:
     return q
 
 
-@attach.defjvp
-def _attach_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[jax.Array, jax.Array]:
+@with_implicit_derivative.defjvp
+def _with_implicit_derivative_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[jax.Array, jax.Array]:
     system, q = primals
-    q = attach(layout, system, q)
+    q = with_implicit_derivative(layout, system, q)
     _, change = jax.jvp(lambda s: residual(layout, s, q), (system,), (tangents[0],))
     return q, -compliance(layout, system, q, change)

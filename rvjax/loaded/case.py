@@ -11,7 +11,7 @@ An equilibrium, from the call to the result:
      7              while a case is open:                      batch axis joins all levels of `jax.vmap`
      8                  contacts, gradient and Hessian at q, Newton's step from there
      9                  rows = decided(rows, merit), q = onward(..)        full step, or a point of a line
-    10      q = placed(layout, case, found, status)            dq = -H^-1 d(grad E): its `custom_jvp`, two kernels more
+    10      q = at_output(layout, case, found, status)         dq = -H^-1 d(grad E): its `custom_jvp`, two kernels more
     11      pins, joints, bearings = forces(layout, case.system, q)        a `BatchedKernel`, too
     12      return Loaded(..), NaN where the status is none of success
 
@@ -26,9 +26,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax.loaded.balance import attach, balance, forces
+from rvjax.loaded.balance import balance, forces, with_implicit_derivative
 from rvjax.loaded.inputs import Read
-from rvjax.loaded.newton import Found
+from rvjax.loaded.newton import Minimum
 from rvjax.loaded.system import Layout, System
 from rvjax.status import SolveInfo, Status, succeeded
 
@@ -73,7 +73,7 @@ class Case(NamedTuple):
         return case._replace(system=s._replace(bearings=bearings, centring=limited(s.centring, CARRIED)))
 
 
-class Named(NamedTuple):
+class NamedForces(NamedTuple):
     """Forces by their names in the results, N, and the torque on the input; None where a kind has none."""
 
     disc_bearing: jax.Array  # (d, c, 2) crank on disc
@@ -85,7 +85,7 @@ class Named(NamedTuple):
     output_bearing: jax.Array | None = None  # (2,) all discs on the carrier
 
 
-def solve(layout: Layout, read: Read, case: Case, start: jax.Array) -> tuple[Found, SolveInfo]:
+def solve(layout: Layout, read: Read, case: Case, start: jax.Array) -> tuple[Minimum, SolveInfo]:
     """Minimum of the energy of a case, without derivatives, and its status; input that failed a check costs no step.
 
     Args:
@@ -98,7 +98,7 @@ def solve(layout: Layout, read: Read, case: Case, start: jax.Array) -> tuple[Fou
     return found, _status(layout, read, case, found)
 
 
-def _status(layout: Layout, read: Read, case: Case, found: Found) -> SolveInfo:
+def _status(layout: Layout, read: Read, case: Case, found: Minimum) -> SolveInfo:
     """Status, steps and residual of the solve of a case.
 
     A torque so small that the centring springs carry it inside the clearances loads no contact. The forces are
@@ -123,12 +123,12 @@ def _status(layout: Layout, read: Read, case: Case, found: Found) -> SolveInfo:
     )[1]
 
 
-def placed(layout: Layout, case: Case, found: Found, status: jax.Array) -> jax.Array:
+def at_output(layout: Layout, case: Case, found: Minimum, status: jax.Array) -> jax.Array:
     """Displacements (n,) with the derivatives of the equilibrium; zero where it failed."""
-    return attach(layout, case.system, jnp.where(succeeded(status), found.q, 0))
+    return with_implicit_derivative(layout, case.system, jnp.where(succeeded(status), found.q, 0))
 
 
-def turned(layout: Layout, case: Case, q: jax.Array) -> jax.Array:
+def output_rotation(layout: Layout, case: Case, q: jax.Array) -> jax.Array:
     """Rotation of the output against the ideal motion, () rad."""
     return q[layout.carried] / case.length
 

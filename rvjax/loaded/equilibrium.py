@@ -19,10 +19,10 @@ from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.loaded.balance import compliance, forces
-from rvjax.loaded.case import Case, placed, pressures, solve, turned
+from rvjax.loaded.case import Case, at_output, output_rotation, pressures, solve
 from rvjax.loaded.inputs import Read
-from rvjax.loaded.kinds import admit, check_input, named, prepare
-from rvjax.loaded.newton import Found
+from rvjax.loaded.kinds import admit, check_input, named_forces, prepare
+from rvjax.loaded.newton import Minimum
 from rvjax.loaded.system import Layout
 from rvjax.records import Array, PyTree, Record, Scalar, field, record
 from rvjax.roots import solved
@@ -121,20 +121,20 @@ def error_alone(
     read = admit(layout, design, errors, output_torque, input_angle)
     case = prepare(layout, read, read.angle).loaded(read.torque)
     found, info = solve(layout, read, case, jnp.full((layout.unknowns,), jnp.nan, read.torque.dtype))
-    error = turned(layout, case, placed(layout, case, found, info.status))
+    error = output_rotation(layout, case, at_output(layout, case, found, info.status))
     return jnp.where(succeeded(info.status), error, jnp.nan)
 
 
-def outcome(layout: Layout, read: Read, case: Case, found: Found, info: SolveInfo) -> Loaded:
+def outcome(layout: Layout, read: Read, case: Case, found: Minimum, info: SolveInfo) -> Loaded:
     """Everything that follows from the displacements."""
-    q = placed(layout, case, found, info.status)
+    q = at_output(layout, case, found, info.status)
     at = forces(layout, case.system, q)
     unit = jnp.asarray(np.eye(layout.unknowns)[layout.carried], q.dtype)
     values = Loaded(
-        error=turned(layout, case, q),
+        error=output_rotation(layout, case, q),
         pins=at.pins,
         pressure=pressures(case, at.pins),
-        **named(layout, read, case, at)._asdict(),
+        **named_forces(layout, read, case, at)._asdict(),
         disc_torque=-jnp.sum(case.lever * at.pins, axis=1),
         stiffness=jnp.square(case.length) / compliance(layout, case.system, q, unit)[layout.carried],
         info=None,  # type: ignore[arg-type]
@@ -185,13 +185,13 @@ def equilibria(
     own = None if torques.ndim == 1 else torques
     some = None if isinstance(near, bool) else jnp.asarray(near)
 
-    def onward(last: jax.Array, at: _Row) -> tuple[jax.Array, tuple[Found, SolveInfo]]:
+    def onward(last: jax.Array, at: _Row) -> tuple[jax.Array, tuple[Minimum, SolveInfo]]:
         angle, given, own, follows = at
         of_torques = jax.lax.stop_gradient(torques if own is None else own)
         last = last if follows is None else jnp.where(follows, last, none)
         case = jax.lax.stop_gradient(prepare(layout, read, angle))
 
-        def under(torque: jax.Array, start: jax.Array) -> tuple[Found, SolveInfo]:
+        def under(torque: jax.Array, start: jax.Array) -> tuple[Minimum, SolveInfo]:
             return solve(layout, read, case.loaded(torque), start)
 
         begin = last if given is None else jnp.where(jnp.isfinite(given), given, last)
@@ -214,15 +214,15 @@ def _measure(
     read: Read,
     torques: jax.Array,
     angle: jax.Array,
-    found: Found,
+    found: Minimum,
     status: jax.Array,
 ) -> PyTree:
     """Results at one angle under every torque, with their derivatives."""
     case = prepare(layout, read, angle)
 
-    def of_one(torque: jax.Array, found: Found, status: jax.Array) -> PyTree:
+    def of_one(torque: jax.Array, found: Minimum, status: jax.Array) -> PyTree:
         loaded = case.loaded(torque)
-        return take(loaded, placed(layout, loaded, found, status), status == Status.CONVERGED)
+        return take(loaded, at_output(layout, loaded, found, status), status == Status.CONVERGED)
 
     return jax.vmap(of_one)(torques, found, status)
 
@@ -260,7 +260,7 @@ def bearing_forces(
     """
 
     def take(case: Case, q: jax.Array, carries: jax.Array) -> tuple[jax.Array, jax.Array]:
-        of_names = named(layout, read, case, forces(layout, case.system, q))
+        of_names = named_forces(layout, read, case, forces(layout, case.system, q))
         both = of_names.disc_bearing, of_names.support_bearing
         return jax.tree.map(lambda force: jnp.where(carries, force, 0), both)
 

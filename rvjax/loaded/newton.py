@@ -47,7 +47,7 @@ _WIDE = 1024  # places; a wider block is left by its last cases
 _LAST = 16  # one of so many places is open then
 
 
-class Found(NamedTuple):
+class Minimum(NamedTuple):
     """Result of the iteration; in this module with the batch axis last."""
 
     q: jax.Array  # (n, l)
@@ -72,7 +72,7 @@ class _Tour(NamedTuple):
     number: jax.Array  # of the round
     queued: jax.Array  # (cases,) to be solved in it
     start: jax.Array  # (cases or 1, n)
-    found: Found  # cases first
+    found: Minimum  # cases first
 
 
 class _Block(NamedTuple):
@@ -81,10 +81,10 @@ class _Block(NamedTuple):
     turn: jax.Array  # (width,) number in the queue of the case at each place
     state: State
     next: jax.Array  # number in the queue of the first case without a place so far
-    found: Found  # cases first
+    found: Minimum  # cases first
 
 
-def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
+def minimise(layout: Layout, system: System, start: jax.Array) -> Minimum:
     """The minimum of the energy of every case; leaves of the result have the cases first.
 
     Args:
@@ -102,7 +102,7 @@ def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
 
     dtype = start.dtype
     zero, no, none = jnp.zeros((cases,), dtype), jnp.zeros((cases,), bool), jnp.zeros((cases,), jnp.int32)
-    nothing = Found(jnp.zeros((cases, layout.unknowns), dtype), none, zero, zero, no, no, no)
+    nothing = Minimum(jnp.zeros((cases, layout.unknowns), dtype), none, zero, zero, no, no, no)
     solved = jnp.broadcast_to(~jnp.any(jnp.isinf(start), axis=1), (cases,))
     tour = _Tour(jnp.int32(0), solved, start, nothing)
     if width > _WIDE:
@@ -182,9 +182,9 @@ def _begin(s: System, start: jax.Array, seated: jax.Array, steps: jax.Array) -> 
     return begun(jnp.where(warm[None], start, 0), seated, ~warm & (s.load != 0), steps)
 
 
-def _found(state: State) -> Found:
+def _found(state: State) -> Minimum:
     element = state.rows.element
-    return Found(state.q, element.counts.steps, *element.reached, *element.end)
+    return Minimum(state.q, element.counts.steps, *element.reached, *element.end)
 
 
 class _Shared(NamedTuple):

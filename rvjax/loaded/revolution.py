@@ -18,10 +18,10 @@ from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
 from rvjax.loaded.balance import forces
-from rvjax.loaded.case import placed, pressures, solve, turned
+from rvjax.loaded.case import at_output, output_rotation, pressures, solve
 from rvjax.loaded.inputs import Read, check_teeth
-from rvjax.loaded.kinds import KINDS, admit, check_input, check_kind, kind_of, named, prepare
-from rvjax.loaded.newton import Found
+from rvjax.loaded.kinds import KINDS, admit, check_input, check_kind, kind_of, named_forces, prepare
+from rvjax.loaded.newton import Minimum
 from rvjax.loaded.system import Layout
 from rvjax.records import Array, PyTree, Record, Scalar, field, record
 from rvjax.roots import solved
@@ -67,11 +67,11 @@ def instants(
             the last two.
     """
 
-    def from_start(start: jax.Array, torque: jax.Array, angle: jax.Array) -> tuple[Found, SolveInfo]:
+    def from_start(start: jax.Array, torque: jax.Array, angle: jax.Array) -> tuple[Minimum, SolveInfo]:
         case = prepare(layout, read, jax.lax.stop_gradient(angle)).loaded(torque)
         return solve(layout, read, jax.lax.stop_gradient(case), start)
 
-    def onward(known: Pair, at: tuple[jax.Array, ...]) -> tuple[Pair, tuple[Found, SolveInfo]]:
+    def onward(known: Pair, at: tuple[jax.Array, ...]) -> tuple[Pair, tuple[Minimum, SolveInfo]]:
         (last, earlier), (torque, angle, number) = known, at  # NaN where there is none
         start = jnp.where((number == 2) & jnp.isfinite(earlier), 2 * last - earlier, last)
         found, info = from_start(jnp.where(number == 0, jnp.nan, start), torque, angle)
@@ -89,13 +89,13 @@ def instants(
 
 
 def _measure(
-    layout: Layout, read: Read, torque: jax.Array, angle: jax.Array, found: Found, status: jax.Array
+    layout: Layout, read: Read, torque: jax.Array, angle: jax.Array, found: Minimum, status: jax.Array
 ) -> tuple[jax.Array, Loads, jax.Array, jax.Array]:
     """Error, loads and forces of an instant, with their derivatives."""
     case = prepare(layout, read, angle).loaded(torque)
-    q = placed(layout, case, found, status)
+    q = at_output(layout, case, found, status)
     at = forces(layout, case.system, q)
-    of_names = named(layout, read, case, at)
+    of_names = named_forces(layout, read, case, at)
     arm, support = of_names.disc_bearing, of_names.support_bearing
     loads = Loads(
         largest_pin=jnp.max(at.pins),
@@ -108,7 +108,7 @@ def _measure(
         largest_output_pressure=None if of_names.output_pressure is None else jnp.max(of_names.output_pressure),
     )
     arm, support = (jnp.where(status == Status.CONVERGED, force, 0) for force in (arm, support))
-    return turned(layout, case, q), loads, arm, support
+    return output_rotation(layout, case, q), loads, arm, support
 
 
 def _largest(force: jax.Array) -> jax.Array:

@@ -11,9 +11,9 @@ from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
-from rvjax.loaded.case import placed, solve, turned
+from rvjax.loaded.case import at_output, output_rotation, solve
 from rvjax.loaded.kinds import admit, check_input, prepare
-from rvjax.loaded.newton import Found
+from rvjax.loaded.newton import Minimum
 from rvjax.loaded.system import Layout
 from rvjax.records import Array, PyTree, Record, Scalar, field, record
 from rvjax.roots import solved
@@ -122,7 +122,7 @@ def twisted(
     sides = read.torque * jnp.asarray([-1.0, 1.0], read.torque.dtype)
     sizes = jnp.asarray(shares, read.torque.dtype)
 
-    def lower(start: jax.Array, share: jax.Array) -> tuple[jax.Array, tuple[Found, SolveInfo]]:
+    def lower(start: jax.Array, share: jax.Array) -> tuple[jax.Array, tuple[Minimum, SolveInfo]]:
         """Both signs at one size of the torque, from the solutions at the one before."""
         found, info = jax.vmap(lambda torque, start: solve(layout, read, case.on_bench(torque), start))(
             sides * share, start
@@ -132,9 +132,9 @@ def twisted(
     cold = jnp.full((2, layout.unknowns), jnp.nan, sides.dtype)
     found, infos = solved(scan(lower, cold, sizes)[1])
 
-    def angle(torque: jax.Array, found: Found, status: jax.Array) -> jax.Array:
+    def angle(torque: jax.Array, found: Minimum, status: jax.Array) -> jax.Array:
         loaded = case.on_bench(torque)
-        return turned(layout, loaded, placed(layout, loaded, found, status))
+        return output_rotation(layout, loaded, at_output(layout, loaded, found, status))
 
     error = jax.vmap(jax.vmap(angle))(sizes[:, None] * sides[None], found, infos.status)  # (n, 2)
     whole = worst_of(infos)

@@ -39,7 +39,7 @@ _GUESS_STEPS = 8  # at most; 1 or 2 are usual, 4 for "palmgren"
 _NEWTON_STEPS = 4  # at most; 1 is usual
 
 
-class Found(NamedTuple):
+class Solution(NamedTuple):
     """The equilibrium and how it was found."""
 
     windup: jax.Array  # tau
@@ -64,7 +64,7 @@ class _Rows(NamedTuple):
     compliance: Compliance
 
 
-def solve_block(law: str, teeth: int, case: Case, size: int) -> Found:
+def solve_block(law: str, teeth: int, case: Case, size: int) -> Solution:
     """Equilibrium of `size` cases; leaves of the result (size, ...).
 
     Args:
@@ -93,7 +93,7 @@ def solve_block(law: str, teeth: int, case: Case, size: int) -> Found:
     windup = jnp.where(fine & ~exact, found["windup"], windup)
     found = _left_open(law, rows, torque, ~(fine & exact), windup, found)
     loaded = _largest(list(found["load"])) > 0
-    return Found(**found | {"load": found["load"].T, "loaded": loaded})
+    return Solution(**found | {"load": found["load"].T, "loaded": loaded})
 
 
 def _moment(rows: _Rows, roller: Callable[[_Rows, int], tuple[jax.Array, jax.Array]]) -> tuple[jax.Array, jax.Array]:

@@ -14,7 +14,7 @@ from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import Friction, RVReducer
 from rvjax.errors import RVErrors
-from rvjax.loaded import Case, compliance, equilibria, forces, named, turned
+from rvjax.loaded import Case, compliance, equilibria, forces, named_forces, output_rotation
 from rvjax.records import Array, PyTree, Record, Scalar, concrete, field, quantity, record
 from rvjax.running.inputs import Call, Plan, check_call, entered, kind_of
 from rvjax.running.losses import around, bearing_moments, ended, ring_slip, worked
@@ -72,7 +72,7 @@ def _hysteresis(plan: Plan, design: PyTree, errors: PyTree, friction: Friction, 
     signs = jnp.asarray([-1.0, 1.0], read.torque.dtype)
 
     def take(case: Case, q: jax.Array, carries: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return turned(layout, case, q), _sliding(plan, call, case, q, carries)
+        return output_rotation(layout, case, q), _sliding(plan, call, case, q, carries)
 
     def under(torque: jax.Array, _: None) -> tuple[jax.Array, tuple[jax.Array, jax.Array, SolveInfo]]:
         """Both signs of a torque; the second pass needs the friction of the first. One loop compiles once."""
@@ -94,13 +94,13 @@ def _sliding(plan: Plan, call: Call, case: Case, q: jax.Array, carries: jax.Arra
     read, layout, friction = call.read, plan.layout, call.friction
     unit = jnp.asarray(np.eye(layout.unknowns)[layout.carried], q.dtype)
     mode = compliance(layout, case.system, q, unit)
-    mode = mode / turned(layout, case, mode)
+    mode = mode / output_rotation(layout, case, mode)
     held = kind_of(read.design).held(layout, read, mode)
     at = forces(layout, case.system, q)
     slip = _ring_slip(call, case, mode[: layout.inner].reshape(layout.discs, 3), held.discs)
     slip -= held.ideal * ring_slip(call, case)
     total = friction.ring_pins * jnp.sum(at.pins * jnp.abs(slip))
-    of_names = named(layout, read, case, at)
+    of_names = named_forces(layout, read, case, at)
     loads = (jnp.where(carries, force, 0) for force in (of_names.disc_bearing, of_names.support_bearing))
     turns = {
         "arm_bearings": held.discs[:, None] - held.cranks[None],

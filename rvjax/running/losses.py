@@ -15,7 +15,7 @@ from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import Friction, RVReducer
 from rvjax.errors import RVErrors
 from rvjax.life import input_angles, magnitude, shared, tapered
-from rvjax.loaded import Case, equilibria, forces, named, turned
+from rvjax.loaded import Case, equilibria, forces, named_forces, output_rotation
 from rvjax.records import Array, PyTree, Record, Scalar, field, record
 from rvjax.running.inputs import Call, Plan, check_call, entered, kind_of
 from rvjax.status import SolveInfo, Status, succeeded, worst
@@ -93,12 +93,12 @@ def around(
 
     def take(case: Case, q: jax.Array, carries: jax.Array) -> dict[str, jax.Array]:
         at = forces(layout, case.system, q)
-        of_names = named(layout, read, case, at)
+        of_names = named_forces(layout, read, case, at)
         sums = {"ring_pins": jnp.sum(at.pins * jnp.abs(ring_slip(call, case))), kind.joints: jnp.sum(at.joints)}
         arm, support = (jnp.where(carries, force, 0) for force in (of_names.disc_bearing, of_names.support_bearing))
         sums = {name: jnp.where(carries, value, 0) for name, value in sums.items()}
         sums |= {name: jnp.sum(value) for name, value in bearing_moments(call, arm, support).items()}
-        return sums if held is None else sums | {_TURNED: turned(layout, case, q)}
+        return sums if held is None else sums | {_TURNED: output_rotation(layout, case, q)}
 
     angles = input_angles(plan, read.design, read.torque.dtype)
     if held is None:
