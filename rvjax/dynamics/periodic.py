@@ -155,8 +155,8 @@ def _floquet(lumped: Lumped, sun_speed: Array, stage: str) -> Floquet:
     path = _path(lumped, sun_speed, jnp.zeros_like(sun_speed), stage, 1)
     multiplier = _largest(_product(path.steps), path)
     checks = ((path.too_slow, Status.MAX_STEPS), (_unstable(multiplier), Status.UNSTABLE))
-    found, info = gate.close(multiplier, *checks, info=at_once(multiplier))
-    return Floquet(found, info)
+    value, info = gate.close(multiplier, *checks, info=at_once(multiplier))
+    return Floquet(value, info)
 
 
 def _admitted(lumped: Lumped, stage: str, *conditions: PyTree) -> tuple[Lumped, tuple[PyTree, ...], Gate]:

@@ -309,5 +309,5 @@ def damaged(
     if method == "slices":
         rollers = laminae(bearing, loose.clearance, loose.tilt, loose.crowned)
         return slices(bearing, force, angle, weight, rated, rollers)
-    found = basic(magnitude(force), weight, rated) if method == "basic" else raceway(force, angle, weight, rated)
-    return found, status.at_once(found.rate)
+    damage = basic(magnitude(force), weight, rated) if method == "basic" else raceway(force, angle, weight, rated)
+    return damage, status.at_once(damage.rate)

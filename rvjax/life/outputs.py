@@ -101,46 +101,46 @@ class LifeConditions:
     duty: tuple[tuple[float, ...], ...] | None = condition(None, "phases of a cycle", columns=COLUMNS)
 
 
-def _ways(given: LifeConditions) -> dict[str, Any]:
+def _ways(conditions: LifeConditions) -> dict[str, Any]:
     return dict(
-        samples=given.life_samples or given.samples,
-        method=given.life_method,
-        reliability=given.reliability,
-        **ways(given),
+        samples=conditions.life_samples or conditions.samples,
+        method=conditions.life_method,
+        reliability=conditions.reliability,
+        **ways(conditions),
     )
 
 
-def _duty(errors: RVErrors, given: LifeConditions) -> Duty:
+def _duty(errors: RVErrors, conditions: LifeConditions) -> Duty:
     dtype = jnp.result_type(float, *jax.tree.leaves(errors))
-    return Duty(*(jnp.asarray(column, dtype) for column in np.asarray(given.duty, float).T))
+    return Duty(*(jnp.asarray(column, dtype) for column in np.asarray(conditions.duty, float).T))
 
 
-def rated(design: RVReducer, errors: RVErrors, given: LifeConditions) -> Rating:
+def rated(design: RVReducer, errors: RVErrors, conditions: LifeConditions) -> Rating:
     """Under the duty."""
-    return rating(errors.stiffened(design), errors, _duty(errors, given), **_ways(given))
+    return rating(errors.stiffened(design), errors, _duty(errors, conditions), **_ways(conditions))
 
 
-def turned_and_rated(design: RVReducer, errors: RVErrors, given: PyTree) -> tuple[Revolution, Rating]:
+def turned_and_rated(design: RVReducer, errors: RVErrors, conditions: PyTree) -> tuple[Revolution, Rating]:
     """Along the span under the output torque, and under the duty: one loop over all equilibria, half of the program."""
-    design, duty = errors.stiffened(design), _duty(errors, given)
-    samples = given.life_samples or given.samples
-    contact, carrier, sun = ways(given).values()
+    design, duty = errors.stiffened(design), _duty(errors, conditions)
+    samples = conditions.life_samples or conditions.samples
+    contact, carrier, sun = ways(conditions).values()
     supports = contact, carrier, sun
-    plan = check_plan(design, errors, samples, 1.0, given.life_method, given.reliability, 0.0, supports)
-    phases, n = len(given.duty), given.samples
-    read = admit(plan.layout, design, errors, jnp.append(duty.output_torque, given.output_torque), 0.0)
-    numbers = under(duty, phases, design, read, given.reliability, 0.0)
+    plan = check_plan(design, errors, samples, 1.0, conditions.life_method, conditions.reliability, 0.0, supports)
+    phases, n = len(conditions.duty), conditions.samples
+    read = admit(plan.layout, design, errors, jnp.append(duty.output_torque, conditions.output_torque), 0.0)
+    numbers = under(duty, phases, design, read, conditions.reliability, 0.0)
 
-    along = 2 * np.pi * design.ratio * turns_of(design, given) * np.arange(n) / n
+    along = 2 * np.pi * design.ratio * turns_of(design, conditions) * np.arange(n) / n
     spread = input_angles(plan, design, read.torque.dtype)
     torques = jnp.concatenate([jnp.full(n, read.torque[-1]), jnp.repeat(read.torque[:-1], plan.samples)])
     angles = jnp.concatenate([jnp.asarray(along, read.torque.dtype), jnp.tile(spread, phases)])
     before = np.concatenate(
         [np.minimum(2 * np.arange(n), 2), np.tile((np.arange(plan.samples) > 0) & plan.near, phases)]
     )
-    found = instants(plan.layout, read, torques, angles, before)
+    turn = instants(plan.layout, read, torques, angles, before)
 
-    around, rest = jax.tree.map(lambda x: x[:n], found), jax.tree.map(lambda x: x[n:], found)
+    around, rest = jax.tree.map(lambda x: x[:n], turn), jax.tree.map(lambda x: x[n:], turn)
 
     def each(x: jax.Array) -> jax.Array:
         return jnp.swapaxes(x.reshape(phases, plan.samples, *x.shape[1:]), 0, 1)
@@ -149,34 +149,38 @@ def turned_and_rated(design: RVReducer, errors: RVErrors, given: PyTree) -> tupl
     return summary(around), by_forces(plan, numbers, read.errors, forces)
 
 
-def sought(design: RVReducer, errors: RVErrors, given: LifeConditions) -> RatedTorque:
+def sought(design: RVReducer, errors: RVErrors, conditions: LifeConditions) -> RatedTorque:
     """At the rated speed, for the rated life."""
-    assert given.rated_life is not None and given.rated_speed is not None
+    assert conditions.rated_life is not None and conditions.rated_speed is not None
     return rated_torque(
-        errors.stiffened(design), errors, life=given.rated_life, output_speed=given.rated_speed, **_ways(given)
+        errors.stiffened(design),
+        errors,
+        life=conditions.rated_life,
+        output_speed=conditions.rated_speed,
+        **_ways(conditions),
     )
 
 
-def _life(found: Rating, design: RVReducer, given: object) -> Solved:
-    return found.life, found.info.status
+def _life(rated_life: Rating, design: RVReducer, conditions: object) -> Solved:
+    return rated_life.life, rated_life.info.status
 
 
-def _arm(found: Rating, design: RVReducer, given: object) -> Solved:
-    return jnp.min(found.arm), found.info.status
+def _arm(rated_life: Rating, design: RVReducer, conditions: object) -> Solved:
+    return jnp.min(rated_life.arm), rated_life.info.status
 
 
-def _safety(found: Rating, design: RVReducer, given: object) -> Solved:
-    return found.static_safety, found.info.status
+def _safety(rated_life: Rating, design: RVReducer, conditions: object) -> Solved:
+    return rated_life.static_safety, rated_life.info.status
 
 
-def _torque(found: RatedTorque, design: RVReducer, given: object) -> Solved:
-    return found.torque, found.info.status
+def _torque(rated: RatedTorque, design: RVReducer, conditions: object) -> Solved:
+    return rated.torque, rated.info.status
 
 
 def _refusing(name: str, own: Callable[[LifeConditions], None]) -> Callable[[RVReducer, LifeConditions], None]:
     """Check the parts of a design, the reliability and the bearings of the method, then run the check `own`."""
 
-    def refuse(design: RVReducer, given: LifeConditions) -> None:
+    def refuse(design: RVReducer, conditions: LifeConditions) -> None:
         for part in ("stiffness", "contact"):
             if getattr(design, part) is None:
                 cls = part_class(type(design), part)
@@ -193,23 +197,23 @@ def _refusing(name: str, own: Callable[[LifeConditions], None]) -> Callable[[RVR
         if not kind_of(design).supports:
             check_alone(design.bearings, type(design).__name__, "design.bearings")
         check_places(design.bearings, design.counts, "design.bearings")
-        if not 0 < given.reliability < 1:
-            raise ValueError(f"conditions.reliability = {given.reliability:g}: must lie between 0 and 1")
-        if design.bearings.preload is not None and given.life_method != "basic":
+        if not 0 < conditions.reliability < 1:
+            raise ValueError(f"conditions.reliability = {conditions.reliability:g}: must lie between 0 and 1")
+        if design.bearings.preload is not None and conditions.life_method != "basic":
             raise ValueError(
-                f'conditions.life_method = "{given.life_method}": must be "basic" with tapered supports '
+                f'conditions.life_method = "{conditions.life_method}": must be "basic" with tapered supports '
                 f"(design.bearings.preload)"
             )
-        own(given)
+        own(conditions)
 
     return refuse
 
 
-def _with_duty(given: LifeConditions) -> None:
-    if given.duty is None:
+def _with_duty(conditions: LifeConditions) -> None:
+    if conditions.duty is None:
         told = ", ".join(f"{name} in {unit}" for name, unit in COLUMNS.items())
         raise ValueError(f"[[duty]] is missing: life and static safety need at least one phase, with {told}")
-    times = [phase[2] for phase in given.duty]
+    times = [phase[2] for phase in conditions.duty]
     for number, time in enumerate(times):
         if time < 0:
             raise ValueError(f"duty[{number}].time = {time:g} s: must not be negative")
@@ -217,21 +221,21 @@ def _with_duty(given: LifeConditions) -> None:
         raise ValueError("duty.time = 0 s in all phases: must have a positive sum")
 
 
-def _moving(given: LifeConditions) -> None:
-    _with_duty(given)
-    assert given.duty is not None
-    if not any(speed and time for _, speed, time in given.duty):
+def _moving(conditions: LifeConditions) -> None:
+    _with_duty(conditions)
+    assert conditions.duty is not None
+    if not any(speed and time for _, speed, time in conditions.duty):
         raise ValueError(
             "duty.output_speed = 0 rad/s in all phases that last: must not be 0 in all of them; at rest no bearing "
             "has a life"
         )
 
 
-def _with_life(given: LifeConditions) -> None:
-    assert given.rated_life is not None
-    if given.rated_life <= 0:
-        raise ValueError(f"conditions.rated_life = {given.rated_life:g} s: must be positive")
-    if given.rated_speed == 0:
+def _with_life(conditions: LifeConditions) -> None:
+    assert conditions.rated_life is not None
+    if conditions.rated_life <= 0:
+        raise ValueError(f"conditions.rated_life = {conditions.rated_life:g} s: must be positive")
+    if conditions.rated_speed == 0:
         raise ValueError("conditions.rated_speed = 0 rad/s: must not be 0; at rest no bearing has a life")
 
 

@@ -123,19 +123,19 @@ def by_forces(plan: Plan, given: Entered, errors: PyTree, forces: BearingForces)
         forces: (samples, phases, ...).
     """
     turned = revolutions(plan.layout.pins, given.speed, given.time)
-    found = damages(plan, given.bearings, errors, forces, turned.share, given.tilt)
+    damage = damages(plan, given.bearings, errors, forces, turned.share, given.tilt)
     per_time = turned.per_time / (1e6 * given.factor)  # Eq. 22
 
     values = dict(
-        life=inverse(found.whole * per_time),
-        arm=inverse(found.arm.rate * per_time),
-        arm_load=found.arm.load,
-        static_safety=inverse(found.hardest),
+        life=inverse(damage.whole * per_time),
+        arm=inverse(damage.arm.rate * per_time),
+        arm_load=damage.arm.load,
+        static_safety=inverse(damage.hardest),
     )
-    if found.support is not None:
-        values |= dict(support=inverse(found.support.rate * per_time), support_load=found.support.load)
-    state = worst(jnp.append(jnp.ravel(forces.info.status), found.info.status))
-    ended = jnp.where(found.whole * per_time > 0, Status.CONVERGED, Status.UNLOADED)
+    if damage.support is not None:
+        values |= dict(support=inverse(damage.support.rate * per_time), support_load=damage.support.load)
+    state = worst(jnp.append(jnp.ravel(forces.info.status), damage.info.status))
+    ended = jnp.where(damage.whole * per_time > 0, Status.CONVERGED, Status.UNLOADED)
     info = SolveInfo(
         jnp.where(succeeded(state), ended, state).astype(jnp.int32),
         jnp.sum(forces.info.steps),
@@ -182,15 +182,15 @@ def phase_shares(life_of: Callable[[Duty], np.ndarray], duty: Duty) -> np.ndarra
         duty: of p phases, columns (p,).
     """
     speed = np.asarray(duty.output_speed, float)
-    found = []
+    shares = []
     for phase, own in enumerate(speed):
         sides = []
         for factor in (1 + _STEP, 1 - _STEP):
             changed = speed.copy()
             changed[phase] = factor * own
             sides.append(np.log(life_of(duty.replace(output_speed=changed))))
-        found.append((sides[1] - sides[0]) / np.log((1 + _STEP) / (1 - _STEP)) if own else 0 * sides[0])
-    return np.asarray(found)
+        shares.append((sides[1] - sides[0]) / np.log((1 + _STEP) / (1 - _STEP)) if own else 0 * sides[0])
+    return np.asarray(shares)
 
 
 class Orders(NamedTuple):

@@ -59,20 +59,20 @@ def in_lanes(kernel: Kernel, layout: Layout, shapes: Callable[[Layout, Any], PyT
             leaf = jnp.broadcast_to(leaf, (size, g, lanes, *rest))
             return jnp.swapaxes(leaf, 0, 1).reshape(g, size * lanes, *rest)
 
-        found = grouped(*jax.tree.unflatten(tree, [merge(leaf, flag) for leaf, flag in zip(leaves, flags)]))
+        result = grouped(*jax.tree.unflatten(tree, [merge(leaf, flag) for leaf, flag in zip(leaves, flags)]))
 
         def split(leaf: jax.Array) -> jax.Array:
             if by_group:
                 return leaf.reshape(size, groups, *leaf.shape[1:])
             return jnp.swapaxes(leaf.reshape(groups, size, lanes, *leaf.shape[2:]), 0, 1)
 
-        return jax.tree.map(split, found)
+        return jax.tree.map(split, result)
 
     grouped.rule = rule
 
     def of_one(*arguments: PyTree) -> PyTree:
-        found = grouped(*jax.tree.map(lambda leaf: leaf[None, None], arguments))
-        return jax.tree.map(lambda leaf: leaf[0, 0], found)
+        result = grouped(*jax.tree.map(lambda leaf: leaf[None, None], arguments))
+        return jax.tree.map(lambda leaf: leaf[0, 0], result)
 
     return of_one
 
@@ -113,8 +113,8 @@ def in_blocks(kernel: Kernel, arguments: tuple[PyTree, ...]) -> PyTree:
             return jnp.moveaxis(own, 0, -1)
 
         system, *arrays = jax.tree.map(part, arguments)
-        found = kernel(system, *(jnp.broadcast_to(x, (*x.shape[:-1], width)) for x in arrays))
-        return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), found)
+        result = kernel(system, *(jnp.broadcast_to(x, (*x.shape[:-1], width)) for x in arrays))
+        return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), result)
 
     if cases == width:
         return block(jnp.zeros((), jnp.int32))
@@ -144,8 +144,8 @@ def balance(layout: Layout, system: System, start: jax.Array) -> Minimum:
 
 @balance.defjvp
 def _balance_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[Minimum, PyTree]:
-    found = balance(layout, *primals)
-    return found, jax.custom_derivatives.zero_from_primal(found)
+    minimum = balance(layout, *primals)
+    return minimum, jax.custom_derivatives.zero_from_primal(minimum)
 
 
 class Forces(NamedTuple):

@@ -94,38 +94,38 @@ def solve(layout: Layout, read: Read, case: Case, start: jax.Array) -> tuple[Min
         case: the case.
         start: (n,), or NaN: the linear step.
     """
-    found = balance(layout, case.system, jnp.where(read.gate.good, start, jnp.inf))
-    return found, _status(layout, read, case, found)
+    minimum = balance(layout, case.system, jnp.where(read.gate.good, start, jnp.inf))
+    return minimum, _status(layout, read, case, minimum)
 
 
-def _status(layout: Layout, read: Read, case: Case, found: Minimum) -> SolveInfo:
+def _status(layout: Layout, read: Read, case: Case, minimum: Minimum) -> SolveInfo:
     """Status, steps and residual of the solve of a case.
 
     A torque so small that the centring springs carry it inside the clearances loads no contact. The forces are
     undetermined where the rounding of the gaps, times the stiffest spring, is not small compared with all forces.
     """
-    faint = math.sqrt(float(jnp.finfo(found.residual.dtype).eps))
-    idle = (case.system.load == 0) & (found.largest <= case.system.centring * read.design.cycloid.pin_radius)
-    idle |= (found.largest <= faint * jnp.abs(case.system.load)) | (found.residual > faint)
-    overload = found.overload & ~found.converged
+    faint = math.sqrt(float(jnp.finfo(minimum.residual.dtype).eps))
+    idle = (case.system.load == 0) & (minimum.largest <= case.system.centring * read.design.cycloid.pin_radius)
+    idle |= (minimum.largest <= faint * jnp.abs(case.system.load)) | (minimum.residual > faint)
+    overload = minimum.overload & ~minimum.converged
     if any(group.discs for group in layout.joints):  # output pins press where the springs hold the discs, off the ring
-        at = forces(layout, case.system, found.q)
+        at = forces(layout, case.system, minimum.q)
         idle |= jnp.max(at.pins) <= faint * jnp.abs(case.system.load)
         if case.most is not None:
             overload |= jnp.any(at.joints > case.most)
-    ended = SolveInfo(jnp.where(idle, jnp.int32(int(Status.UNLOADED)), 0), found.steps, found.residual)
+    ended = SolveInfo(jnp.where(idle, jnp.int32(int(Status.UNLOADED)), 0), minimum.steps, minimum.residual)
     return read.gate.close(
         (),
-        (~found.finite, Status.NONFINITE),
+        (~minimum.finite, Status.NONFINITE),
         (overload, Status.CONTACT_OVERLOAD),
-        (~found.converged, Status.MAX_STEPS),
+        (~minimum.converged, Status.MAX_STEPS),
         info=ended,
     )[1]
 
 
-def at_output(layout: Layout, case: Case, found: Minimum, status: jax.Array) -> jax.Array:
+def at_output(layout: Layout, case: Case, minimum: Minimum, status: jax.Array) -> jax.Array:
     """Displacements (n,) with the derivatives of the equilibrium; zero where it failed."""
-    return with_implicit_derivative(layout, case.system, jnp.where(succeeded(status), found.q, 0))
+    return with_implicit_derivative(layout, case.system, jnp.where(succeeded(status), minimum.q, 0))
 
 
 def output_rotation(layout: Layout, case: Case, q: jax.Array) -> jax.Array:

@@ -102,8 +102,8 @@ def equilibrium(
 def _equilibrium(layout: Layout, design: PyTree, errors: PyTree, input_angle: Scalar, output_torque: Scalar) -> Loaded:
     read = admit(layout, design, errors, output_torque, input_angle)
     case = prepare(layout, read, read.angle).loaded(read.torque)
-    found, info = solve(layout, read, case, jnp.full((layout.unknowns,), jnp.nan, read.torque.dtype))
-    return outcome(layout, read, case, found, info)
+    minimum, info = solve(layout, read, case, jnp.full((layout.unknowns,), jnp.nan, read.torque.dtype))
+    return outcome(layout, read, case, minimum, info)
 
 
 def error_alone(
@@ -120,14 +120,14 @@ def error_alone(
     """
     read = admit(layout, design, errors, output_torque, input_angle)
     case = prepare(layout, read, read.angle).loaded(read.torque)
-    found, info = solve(layout, read, case, jnp.full((layout.unknowns,), jnp.nan, read.torque.dtype))
-    error = output_rotation(layout, case, at_output(layout, case, found, info.status))
+    minimum, info = solve(layout, read, case, jnp.full((layout.unknowns,), jnp.nan, read.torque.dtype))
+    error = output_rotation(layout, case, at_output(layout, case, minimum, info.status))
     return jnp.where(succeeded(info.status), error, jnp.nan)
 
 
-def outcome(layout: Layout, read: Read, case: Case, found: Minimum, info: SolveInfo) -> Loaded:
+def outcome(layout: Layout, read: Read, case: Case, minimum: Minimum, info: SolveInfo) -> Loaded:
     """Everything that follows from the displacements."""
-    q = at_output(layout, case, found, info.status)
+    q = at_output(layout, case, minimum, info.status)
     at = forces(layout, case.system, q)
     unit = jnp.asarray(np.eye(layout.unknowns)[layout.carried], q.dtype)
     values = Loaded(
@@ -195,16 +195,16 @@ def equilibria(
             return solve(layout, read, case.loaded(torque), start)
 
         begin = last if given is None else jnp.where(jnp.isfinite(given), given, last)
-        found, info = jax.vmap(under)(of_torques, begin)
-        here = jnp.where(succeeded(info.status)[:, None], found.q, jnp.nan) if near is not False else none
-        return here, (found, info)
+        minima, info = jax.vmap(under)(of_torques, begin)
+        here = jnp.where(succeeded(info.status)[:, None], minima.q, jnp.nan) if near is not False else none
+        return here, (minima, info)
 
-    found, info = solved(scan(onward, none, (input_angles, start, own, some))[1])
+    minima, info = solved(scan(onward, none, (input_angles, start, own, some))[1])
     measure = jax.checkpoint(partial(_measure, layout, take))
     taken = jax.lax.map(
-        lambda x: measure(read, torques if x[0] is None else x[0], *x[1:]), (own, input_angles, found, info.status)
+        lambda x: measure(read, torques if x[0] is None else x[0], *x[1:]), (own, input_angles, minima, info.status)
     )
-    q = jnp.where(succeeded(info.status)[..., None], found.q, jnp.nan)
+    q = jnp.where(succeeded(info.status)[..., None], minima.q, jnp.nan)
     return Equilibria(taken, info, jax.lax.stop_gradient(q))
 
 
@@ -214,17 +214,17 @@ def _measure(
     read: Read,
     torques: jax.Array,
     angle: jax.Array,
-    found: Minimum,
+    minimum: Minimum,
     status: jax.Array,
 ) -> PyTree:
     """Results at one angle under every torque, with their derivatives."""
     case = prepare(layout, read, angle)
 
-    def of_one(torque: jax.Array, found: Minimum, status: jax.Array) -> PyTree:
+    def of_one(torque: jax.Array, minimum: Minimum, status: jax.Array) -> PyTree:
         loaded = case.loaded(torque)
-        return take(loaded, at_output(layout, loaded, found, status), status == Status.CONVERGED)
+        return take(loaded, at_output(layout, loaded, minimum, status), status == Status.CONVERGED)
 
-    return jax.vmap(of_one)(torques, found, status)
+    return jax.vmap(of_one)(torques, minimum, status)
 
 
 class BearingForces(NamedTuple):
@@ -264,6 +264,6 @@ def bearing_forces(
         both = of_names.disc_bearing, of_names.support_bearing
         return jax.tree.map(lambda force: jnp.where(carries, force, 0), both)
 
-    found = equilibria(layout, read, torques, input_angles, take, start, near=near)
-    arm, support = found.taken
-    return BearingForces(arm, support, found.info, found.displacements)
+    solution = equilibria(layout, read, torques, input_angles, take, start, near=near)
+    arm, support = solution.taken
+    return BearingForces(arm, support, solution.info, solution.displacements)

@@ -82,39 +82,44 @@ DriveConditions = without_sun(
 """Conditions of a single-stage drive."""
 
 
-def ways(given: Any) -> dict[str, str]:
+def ways(conditions: Any) -> dict[str, str]:
     """Methods of the equilibrium, as its keyword arguments."""
-    return dict(contact=given.pin_contact, carrier=given.carrier, sun=getattr(given, "sun", "fixed"))
+    return dict(contact=conditions.pin_contact, carrier=conditions.carrier, sun=getattr(conditions, "sun", "fixed"))
 
 
 RATED, HALF, SLIGHT, PROBE = SHARES
 
 
-def turns_of(design: RVReducer, given: LoadedConditions) -> float:
+def turns_of(design: RVReducer, conditions: LoadedConditions) -> float:
     """Turns of the output in the span."""
-    return 1.0 if given.span == "output_turn" else 1 / design.cycloid.pin_count
+    return 1.0 if conditions.span == "output_turn" else 1 / design.cycloid.pin_count
 
 
-def _along(design: RVReducer, errors: RVErrors, given: LoadedConditions, torque: float) -> Revolution:
-    turns = turns_of(design, given)
+def _along(design: RVReducer, errors: RVErrors, conditions: LoadedConditions, torque: float) -> Revolution:
+    turns = turns_of(design, conditions)
     return revolution(
-        errors.stiffened(design), errors, output_torque=torque, turns=turns, samples=given.samples, **ways(given)
+        errors.stiffened(design),
+        errors,
+        output_torque=torque,
+        turns=turns,
+        samples=conditions.samples,
+        **ways(conditions),
     )
 
 
-def turn(design: RVReducer, errors: RVErrors, given: LoadedConditions) -> Revolution:
+def turn(design: RVReducer, errors: RVErrors, conditions: LoadedConditions) -> Revolution:
     """Along the span under the output torque."""
-    return _along(design, errors, given, given.output_torque)
+    return _along(design, errors, conditions, conditions.output_torque)
 
 
-def second_turn(design: RVReducer, errors: RVErrors, given: LoadedConditions) -> Revolution:
+def second_turn(design: RVReducer, errors: RVErrors, conditions: LoadedConditions) -> Revolution:
     """Along the span under the second torque."""
-    return _along(design, errors, given, given.second_torque)
+    return _along(design, errors, conditions, conditions.second_torque)
 
 
-def unloaded_turn(design: RVReducer, errors: RVErrors, given: LoadedConditions) -> Revolution:
+def unloaded_turn(design: RVReducer, errors: RVErrors, conditions: LoadedConditions) -> Revolution:
     """Along the span at the probe torque: the limit of no load."""
-    return _along(design, errors, given, PROBE * given.rated_torque)
+    return _along(design, errors, conditions, PROBE * conditions.rated_torque)
 
 
 HEAD_PARTS = {"ring": 2, "tilt": 1, "dent": 3}
@@ -146,8 +151,8 @@ def effects_of_a_head(
     waves = 2 / samples * np.fft.rfft(curves)[..., 1:]  # (torques, 6, orders)
     largest = np.abs(waves[0]).reshape(3, -1).max(axis=1)
     waves = waves[1:] / np.repeat(np.where(largest > 0, largest, 1.0), 2)[:, None]
-    found = np.moveaxis(waves[..., np.array(orders) - 1], -1, 1)
-    return np.stack([found.real, found.imag], axis=-1)
+    effects = np.moveaxis(waves[..., np.array(orders) - 1], -1, 1)
+    return np.stack([effects.real, effects.imag], axis=-1)
 
 
 @quick(3, 4, 5)
@@ -163,11 +168,11 @@ def _effects(design: RVReducer, angle: jax.Array, torque: float, contact: str, c
     ]
 
     def at(x: jax.Array) -> jax.Array:
-        found = equilibrium(
+        solution = equilibrium(
             design, RVErrors(), input_angle=x, output_torque=torque, contact=contact, carrier=carrier, sun=sun
         )
-        seen = [reading(found, design, head, input_angle=x, output_torque=torque) for head in heads]
-        return jnp.stack([value - found.error for value in seen])
+        seen = [reading(solution, design, head, input_angle=x, output_torque=torque) for head in heads]
+        return jnp.stack([value - solution.error for value in seen])
 
     return jax.vmap(at, out_axes=1)(angle)
 
@@ -225,7 +230,7 @@ def _errors_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[jax.
 _errors.defjvp(_errors_jvp, symbolic_zeros=True)
 
 
-def _count(design: PyTree, given: LoadedConditions, orders: tuple[int, ...], alike: bool) -> int:
+def _count(design: PyTree, conditions: LoadedConditions, orders: tuple[int, ...], alike: bool) -> int:
     """Angles of a period: so many that no order of perfect parts that they do not resolve looks like an observed one.
 
     The mean is observed, too.
@@ -237,15 +242,15 @@ def _count(design: PyTree, given: LoadedConditions, orders: tuple[int, ...], ali
     def taken(count: int) -> bool:
         return any(abs(k - count * round(k / count)) in seen for k in passing if 2 * k >= count)
 
-    least = given.samples if alike else max(given.samples, 4 * max(orders))
+    least = conditions.samples if alike else max(conditions.samples, 4 * max(orders))
     return next(count for count in itertools.count(least) if not taken(count))
 
 
-def _parts(design: PyTree, given: LoadedConditions, orders: tuple[int, ...], alike: bool) -> int:
+def _parts(design: PyTree, conditions: LoadedConditions, orders: tuple[int, ...], alike: bool) -> int:
     """Parts of a turn of the output: so many that what one takes for another order is far from those of the pins."""
     if alike:
         return 1
-    pins, count = design.cycloid.pin_count, _count(design, given, orders, alike)
+    pins, count = design.cycloid.pin_count, _count(design, conditions, orders, alike)
 
     def distance(parts: int) -> int:
         """Least distance of a mistaken order from a multiple of the pins."""
@@ -259,7 +264,7 @@ def _parts(design: PyTree, given: LoadedConditions, orders: tuple[int, ...], ali
 def _spectrum(
     design: PyTree,
     errors: PyTree,
-    given: LoadedConditions,
+    conditions: LoadedConditions,
     torques: Array,
     orders: tuple[int, ...],
     alike: bool,
@@ -267,23 +272,23 @@ def _spectrum(
 ) -> Spectrum:
     """One turn of the cranks where all are alike, else a turn of the output."""
     step = design.cycloid.pin_count if alike else 1
-    count, (number, parts) = _count(design, given, orders, alike), part
+    count, (number, parts) = _count(design, conditions, orders, alike), part
     stiff, torques = errors.stiffened(design), jnp.asarray(torques)
     own = jnp.asarray(np.arange(0, count, parts), torques.dtype) + jnp.asarray(number, torques.dtype)
     angles = 2 * jnp.pi * design.ratio / step / count * own
-    error = _errors(check_input(stiff, errors, **ways(given)), stiff, errors, torques, angles)
+    error = _errors(check_input(stiff, errors, **ways(conditions)), stiff, errors, torques, angles)
     turned = np.outer(np.arange(count), [k // step for k in orders]) * 2 * np.pi / count
     every = np.where([k % step == 0 for k in orders], 2 * parts / count * np.exp(-1j * turned), 0)
     waves = jnp.asarray(every.reshape(-1, parts, len(orders)))[:, number]
-    found = [jnp.matmul(error, w.astype(error.dtype), precision="highest") for w in (waves.real, waves.imag)]
-    return jnp.mean(error, axis=1), jax.lax.complex(*found)
+    real_imaginary = [jnp.matmul(error, w.astype(error.dtype), precision="highest") for w in (waves.real, waves.imag)]
+    return jnp.mean(error, axis=1), jax.lax.complex(*real_imaginary)
 
 
-def _angle(design: PyTree, errors: PyTree, given: LoadedConditions, torques: Array) -> Array:
+def _angle(design: PyTree, errors: PyTree, conditions: LoadedConditions, torques: Array) -> Array:
     """Output angle at each torque, input held."""
-    angle = jnp.asarray(given.input_angle, jnp.result_type(float))[None]
+    angle = jnp.asarray(conditions.input_angle, jnp.result_type(float))[None]
     stiff = errors.stiffened(design)
-    return _errors(check_input(stiff, errors, **ways(given)), stiff, errors, jnp.asarray(torques), angle)[:, 0]
+    return _errors(check_input(stiff, errors, **ways(conditions)), stiff, errors, jnp.asarray(torques), angle)[:, 0]
 
 
 CURVE = Observation(

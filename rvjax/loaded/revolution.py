@@ -74,26 +74,26 @@ def instants(
     def onward(known: Pair, at: tuple[jax.Array, ...]) -> tuple[Pair, tuple[Minimum, SolveInfo]]:
         (last, earlier), (torque, angle, number) = known, at  # NaN where there is none
         start = jnp.where((number == 2) & jnp.isfinite(earlier), 2 * last - earlier, last)
-        found, info = from_start(jnp.where(number == 0, jnp.nan, start), torque, angle)
-        here = jnp.where(succeeded(info.status), found.q, jnp.nan)
-        return (here, jnp.where(number == 0, jnp.nan, last)), (found, info)
+        minima, info = from_start(jnp.where(number == 0, jnp.nan, start), torque, angle)
+        here = jnp.where(succeeded(info.status), minima.q, jnp.nan)
+        return (here, jnp.where(number == 0, jnp.nan, last)), (minima, info)
 
     none = jnp.full((layout.unknowns,), jnp.nan, torques.dtype)
     if np.any(before):
-        found, info = solved(scan(onward, (none, none), (torques, input_angles, jnp.asarray(before)))[1])
+        minima, info = solved(scan(onward, (none, none), (torques, input_angles, jnp.asarray(before)))[1])
     else:  # one queue for all instants, so that slow ones are waited for once
-        found, info = solved(jax.vmap(partial(from_start, none))(torques, input_angles))
+        minima, info = solved(jax.vmap(partial(from_start, none))(torques, input_angles))
     measure = jax.checkpoint(partial(_measure, layout), static_argnums=())
-    error, loads, arm, support = jax.lax.map(lambda x: measure(read, *x), (torques, input_angles, found, info.status))
+    error, loads, arm, support = jax.lax.map(lambda x: measure(read, *x), (torques, input_angles, minima, info.status))
     return Instants(error, loads, arm, support, info)
 
 
 def _measure(
-    layout: Layout, read: Read, torque: jax.Array, angle: jax.Array, found: Minimum, status: jax.Array
+    layout: Layout, read: Read, torque: jax.Array, angle: jax.Array, minimum: Minimum, status: jax.Array
 ) -> tuple[jax.Array, Loads, jax.Array, jax.Array]:
     """Error, loads and forces of an instant, with their derivatives."""
     case = prepare(layout, read, angle).loaded(torque)
-    q = at_output(layout, case, found, status)
+    q = at_output(layout, case, minimum, status)
     at = forces(layout, case.system, q)
     of_names = named_forces(layout, read, case, at)
     arm, support = of_names.disc_bearing, of_names.support_bearing
@@ -200,16 +200,16 @@ def _revolution(
     return summary(instants(layout, read, jnp.broadcast_to(read.torque, order.shape), step * order, before))
 
 
-def summary(found: Instants) -> Revolution:
+def summary(equilibria: Instants) -> Revolution:
     """The revolution of equally spaced instants.
 
     Args:
-        found: (n,) of one turn.
+        equilibria: (n,) of one turn.
     """
-    samples = len(found.error)
-    whole = worst_of(found.info)
+    samples = len(equilibria.error)
+    whole = worst_of(equilibria.info)
     fine = succeeded(whole.status)
-    error = jnp.where(fine, found.error, jnp.nan)
+    error = jnp.where(fine, equilibria.error, jnp.nan)
     wave = jnp.fft.fft(jnp.where(fine, error, 0))[:HARMONICS] / samples
     wave = jnp.pad(wave, (0, HARMONICS - len(wave)))
     wave = wave + wave.at[0].set(0)  # X_0 once, all others twice
@@ -218,8 +218,8 @@ def summary(found: Instants) -> Revolution:
         peak_to_peak=jnp.max(error) - jnp.min(error),
         mean=jnp.mean(error),
         harmonics=jnp.where(fine, wave, jnp.nan),
-        **jax.tree.map(lambda load: jnp.where(fine, jnp.max(load), jnp.nan), found.loads._asdict()),
-        info=whole.replace(steps=jnp.sum(found.info.steps)),
+        **jax.tree.map(lambda load: jnp.where(fine, jnp.max(load), jnp.nan), equilibria.loads._asdict()),
+        info=whole.replace(steps=jnp.sum(equilibria.info.steps)),
     )
 
 
@@ -269,5 +269,5 @@ def clearance(
 
 @quick(0, 1)
 def _clearance(samples: int, turns: float, design: PyTree, errors: PyTree) -> Clearance:
-    (least, found), info = kind_of(design).fit(samples, turns, design, errors)
-    return Clearance(least, found, info)
+    (least, each), info = kind_of(design).fit(samples, turns, design, errors)
+    return Clearance(least, each, info)

@@ -124,19 +124,19 @@ def twisted(
 
     def lower(start: jax.Array, share: jax.Array) -> tuple[jax.Array, tuple[Minimum, SolveInfo]]:
         """Both signs at one size of the torque, from the solutions at the one before."""
-        found, info = jax.vmap(lambda torque, start: solve(layout, read, case.on_bench(torque), start))(
+        minima, info = jax.vmap(lambda torque, start: solve(layout, read, case.on_bench(torque), start))(
             sides * share, start
         )
-        return jnp.where(succeeded(info.status)[:, None], found.q, jnp.nan), (found, info)
+        return jnp.where(succeeded(info.status)[:, None], minima.q, jnp.nan), (minima, info)
 
     cold = jnp.full((2, layout.unknowns), jnp.nan, sides.dtype)
-    found, infos = solved(scan(lower, cold, sizes)[1])
+    minima, infos = solved(scan(lower, cold, sizes)[1])
 
-    def angle(torque: jax.Array, found: Minimum, status: jax.Array) -> jax.Array:
+    def angle(torque: jax.Array, minima: Minimum, status: jax.Array) -> jax.Array:
         loaded = case.on_bench(torque)
-        return output_rotation(layout, loaded, at_output(layout, loaded, found, status))
+        return output_rotation(layout, loaded, at_output(layout, loaded, minima, status))
 
-    error = jax.vmap(jax.vmap(angle))(sizes[:, None] * sides[None], found, infos.status)  # (n, 2)
+    error = jax.vmap(jax.vmap(angle))(sizes[:, None] * sides[None], minima, infos.status)  # (n, 2)
     whole = worst_of(infos)
     return jnp.where(succeeded(whole.status), error, jnp.nan), whole.replace(steps=jnp.sum(infos.steps))
 

@@ -80,7 +80,7 @@ def solve_block(law: str, teeth: int, case: Case, size: int) -> Solution:
     windup, linear_steps = _linear(rows, torque)
     windup, guess_steps = _guess(law, rows, torque, windup)
     start, x, load, residual, fine, newton_steps = _newton(law, rows, torque, windup)
-    found = {
+    solution = {
         "windup": start + x,
         "load": load,
         "residual": residual,
@@ -90,10 +90,10 @@ def solve_block(law: str, teeth: int, case: Case, size: int) -> Solution:
     }
     # A step from far away is right but for its rounding: the safe way begins where it ended.
     exact = residual <= 32 * float(jnp.finfo(torque.dtype).eps)
-    windup = jnp.where(fine & ~exact, found["windup"], windup)
-    found = _left_open(law, rows, torque, ~(fine & exact), windup, found)
-    loaded = _largest(list(found["load"])) > 0
-    return Solution(**found | {"load": found["load"].T, "loaded": loaded})
+    windup = jnp.where(fine & ~exact, solution["windup"], windup)
+    solution = _left_open(law, rows, torque, ~(fine & exact), windup, solution)
+    loaded = _largest(list(solution["load"])) > 0
+    return Solution(**solution | {"load": solution["load"].T, "loaded": loaded})
 
 
 def _moment(rows: _Rows, roller: Callable[[_Rows, int], tuple[jax.Array, jax.Array]]) -> tuple[jax.Array, jax.Array]:
@@ -296,18 +296,18 @@ def _newton_step(
 
 
 def _left_open(
-    law: str, rows: _Rows, torque: jax.Array, todo: jax.Array, start: jax.Array, found: dict[str, jax.Array]
+    law: str, rows: _Rows, torque: jax.Array, todo: jax.Array, start: jax.Array, solution: dict[str, jax.Array]
 ) -> dict[str, jax.Array]:
-    """`found` with the cases `todo` solved the safe way, a chunk of them at a time."""
+    """`solution` with the cases `todo` solved the safe way, a chunk of them at a time."""
     size = len(todo)
 
     def some(state: PyTree) -> PyTree:
-        todo, found = state
+        todo, solution = state
         (lanes,) = jnp.nonzero(todo, size=min(LEFT_OPEN, size), fill_value=size)
         taken = jax.tree.map(lambda leaf: leaf if leaf.shape[-1] == 1 else leaf[..., lanes], rows)
         part = safe.solve(law, taken.arm, taken.gap, taken.compliance, torque[lanes], start[lanes])
-        part["steps"] += found["steps"][lanes]
-        found = {name: found[name].at[..., lanes].set(part[name], mode="drop") for name in found}
-        return todo.at[lanes].set(False, mode="drop"), found
+        part["steps"] += solution["steps"][lanes]
+        solution = {name: solution[name].at[..., lanes].set(part[name], mode="drop") for name in solution}
+        return todo.at[lanes].set(False, mode="drop"), solution
 
-    return jax.lax.while_loop(lambda state: jnp.any(state[0]), some, (todo, found))[1]
+    return jax.lax.while_loop(lambda state: jnp.any(state[0]), some, (todo, solution))[1]

@@ -87,14 +87,14 @@ def equilibrium(law: str, teeth: int, case: Case) -> Solution:
         teeth: z.
         case: the case.
     """
-    found = _batched(law, teeth)(jax.tree.map(lambda leaf: leaf[None], case))
-    return jax.tree.map(lambda leaf: leaf[0], found)
+    solution = _batched(law, teeth)(jax.tree.map(lambda leaf: leaf[None], case))
+    return jax.tree.map(lambda leaf: leaf[0], solution)
 
 
 @equilibrium.defjvp
 def _equilibrium_jvp(law: str, teeth: int, primals: PyTree, tangents: PyTree) -> PyTree:
-    found = equilibrium(law, teeth, *primals)
-    return found, jax.custom_derivatives.zero_from_primal(found)
+    solution = equilibrium(law, teeth, *primals)
+    return solution, jax.custom_derivatives.zero_from_primal(solution)
 
 
 @functools.lru_cache(maxsize=64)
@@ -130,10 +130,10 @@ def _in_blocks(law: str, teeth: int, case: Case) -> Solution:
 
         return solve_block(law, teeth, Case(*map(part, case)), width)
 
-    def solved(number: jax.Array, found: Solution) -> Solution:
+    def solved(number: jax.Array, solution: Solution) -> Solution:
         start = jnp.minimum(number * width, size - width)  # the last block overlaps: no case depends on its neighbours
         return jax.tree.map(
-            lambda all_, new: jax.lax.dynamic_update_slice_in_dim(all_, new, start, 0), found, block(start)
+            lambda all_, new: jax.lax.dynamic_update_slice_in_dim(all_, new, start, 0), solution, block(start)
         )
 
     shapes = jax.eval_shape(block, 0)
@@ -210,10 +210,10 @@ def solve(
     errors = others.replace(roller_radius=errors.roller_radius)
 
     case, unit = take_apart(design, errors, torque, angle, gate.good)
-    found = equilibrium(contact, z, case)
+    solution = equilibrium(contact, z, case)
     rollers = all_rollers(z, case)
     windup, load = with_implicit_derivative(
-        contact, rollers.arm, rollers.gap, rollers.compliance, case.torque, found.windup, found.load
+        contact, rollers.arm, rollers.gap, rollers.compliance, case.torque, solution.windup, solution.load
     )
     windup *= design.roller_radius / design.eccentricity
     cam = unit * load
@@ -221,11 +221,11 @@ def solve(
     tolerance = 1e-12 if torque.dtype == jnp.float64 else 64 * float(jnp.finfo(torque.dtype).eps)
     (cam, cage, gear, windup), info = gate.close(
         (cam, cam * rollers.cage_ratio, cam * rollers.compliance.gear, windup),
-        (~found.finite, Status.NONFINITE),
-        (found.overload, Status.CONTACT_OVERLOAD),
-        (~(found.residual <= tolerance), Status.MAX_STEPS),
-        ((case.torque == 0) & ~found.loaded, Status.UNLOADED),
-        info=converged(found.residual, found.steps),
+        (~solution.finite, Status.NONFINITE),
+        (solution.overload, Status.CONTACT_OVERLOAD),
+        (~(solution.residual <= tolerance), Status.MAX_STEPS),
+        ((case.torque == 0) & ~solution.loaded, Status.UNLOADED),
+        info=converged(solution.residual, solution.steps),
     )
     return MeshForces(cam, cage, gear, windup, info)
 

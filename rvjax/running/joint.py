@@ -76,10 +76,10 @@ def _hysteresis(plan: Plan, design: PyTree, errors: PyTree, friction: Friction, 
 
     def under(torque: jax.Array, _: None) -> tuple[jax.Array, tuple[jax.Array, jax.Array, SolveInfo]]:
         """Both signs of a torque; the second pass needs the friction of the first. One loop compiles once."""
-        found = equilibria(layout, read, signs * torque, read.angle[None], take)
-        error, resisting = found.taken
+        solution = equilibria(layout, read, signs * torque, read.angle[None], take)
+        error, resisting = solution.taken
         own = call.friction.static_factor * (call.friction.output_drag + resisting[0, 0])
-        return own, (own, error[0], jax.tree.map(lambda x: x[0], found.info))
+        return own, (own, error[0], jax.tree.map(lambda x: x[0], solution.info))
 
     passes = scan(under, jnp.zeros_like(read.torque), None, length=2)[1]
     (torque, _), (_, angle), infos = passes

@@ -102,13 +102,13 @@ def around(
 
     angles = input_angles(plan, read.design, read.torque.dtype)
     if held is None:
-        found = equilibria(layout, read, torques, angles, take, start, near=plan.near)
+        solution = equilibria(layout, read, torques, angles, take, start, near=plan.near)
     else:
         every = jnp.append(angles, jnp.broadcast_to(read.angle, held.shape[:1]))
         rows = jnp.concatenate([jnp.broadcast_to(torques, (plan.samples, len(torques))), held])
         follows = np.isin(np.arange(len(every)), np.arange(1, plan.samples)) if plan.near else False
-        found = equilibria(layout, read, rows, every, take, near=follows)
-    taken = {name: value[: plan.samples] for name, value in found.taken.items()}
+        solution = equilibria(layout, read, rows, every, take, near=follows)
+    taken = {name: value[: plan.samples] for name, value in solution.taken.items()}
     cycloid, cranks = read.design.cycloid, read.design.counts["cranks"]
     slip = jnp.asarray(kind.joint_slip(read.design, read.eccentricity), torques.dtype)
     rates = {
@@ -130,9 +130,9 @@ def around(
         viscous=friction.output_viscous + ratio**2 * friction.input_viscous,
         static_factor=friction.static_factor,
         ratio=ratio,
-        info=found.info,
-        displacements=found.displacements,
-        held=None if held is None else found.taken[_TURNED][plan.samples :],
+        info=solution.info,
+        displacements=solution.displacements,
+        held=None if held is None else solution.taken[_TURNED][plan.samples :],
     )
 
 
@@ -157,17 +157,17 @@ def bearing_moments(call: Call, arm: jax.Array, support: jax.Array) -> dict[str,
         support: crank on carrier, (c, 2) N.
     """
     friction, bearings = call.friction, call.bearings
-    found = dict[str, jax.Array]()
+    moments = dict[str, jax.Array]()
     if bearings is None:
-        return found
+        return moments
     if friction.arm_bearings is not None:
-        found["arm_bearings"] = friction.arm_bearings * magnitude(arm) * bearings.arm.pitch_diameter / 2
+        moments["arm_bearings"] = friction.arm_bearings * magnitude(arm) * bearings.arm.pitch_diameter / 2
     if friction.support_bearings is not None:
         assert bearings.support is not None
         force = shared(bearings, arm, support)
         load = magnitude(force) if bearings.preload is None else tapered(bearings, force).dynamic
-        found["support_bearings"] = friction.support_bearings * load * bearings.support.pitch_diameter / 2
-    return found
+        moments["support_bearings"] = friction.support_bearings * load * bearings.support.pitch_diameter / 2
+    return moments
 
 
 def ended(
