@@ -177,8 +177,8 @@ def _torque(rated: RatedTorque, design: RVReducer, conditions: object) -> Solved
     return rated.torque, rated.info.status
 
 
-def _refusing(name: str, own: Callable[[LifeConditions], None]) -> Callable[[RVReducer, LifeConditions], None]:
-    """Check the parts of a design, the reliability and the bearings of the method, then run the check `own`."""
+def _refusing(name: str, check: Callable[[LifeConditions], None]) -> Callable[[RVReducer, LifeConditions], None]:
+    """Check the parts of a design, the reliability and the bearings of the method, then run the check `check`."""
 
     def refuse(design: RVReducer, conditions: LifeConditions) -> None:
         for part in ("stiffness", "contact"):
@@ -204,7 +204,7 @@ def _refusing(name: str, own: Callable[[LifeConditions], None]) -> Callable[[RVR
                 f'conditions.life_method = "{conditions.life_method}": must be "basic" with tapered supports '
                 f"(design.bearings.preload)"
             )
-        own(conditions)
+        check(conditions)
 
     return refuse
 
@@ -240,8 +240,8 @@ def _with_life(conditions: LifeConditions) -> None:
 
 
 def _of_duty(name: str, unit: str, meaning: str, take: Callable[..., Solved], read_in: str | None = None) -> Output:
-    own = _with_duty if name == "static_safety" else _moving
-    return Output(unit, meaning, Reading((rated,), take), (), read_in, refuse=_refusing(name, own))
+    check = _with_duty if name == "static_safety" else _moving
+    return Output(unit, meaning, Reading((rated,), take), (), read_in, refuse=_refusing(name, check))
 
 
 def _static(design: RVReducer) -> tuple[float, float] | None:

@@ -164,9 +164,9 @@ def first_failures(rated: Rating) -> Failures:
         rated: of one unit.
     """
 
-    def share(own: jax.Array) -> jax.Array:
-        finite = jnp.isfinite(own) & jnp.isfinite(rated.life)
-        return jnp.where(finite, power(jnp.where(finite, rated.life / jnp.where(finite, own, 1), 1), WEIBULL), 0)
+    def share(life: jax.Array) -> jax.Array:
+        finite = jnp.isfinite(life) & jnp.isfinite(rated.life)
+        return jnp.where(finite, power(jnp.where(finite, rated.life / jnp.where(finite, life, 1), 1), WEIBULL), 0)
 
     return Failures(share(rated.arm), None if rated.support is None else share(rated.support))
 
@@ -183,13 +183,13 @@ def phase_shares(life_of: Callable[[Duty], np.ndarray], duty: Duty) -> np.ndarra
     """
     speed = np.asarray(duty.output_speed, float)
     shares = []
-    for phase, own in enumerate(speed):
+    for phase, phase_speed in enumerate(speed):
         sides = []
         for factor in (1 + _STEP, 1 - _STEP):
             changed = speed.copy()
-            changed[phase] = factor * own
+            changed[phase] = factor * phase_speed
             sides.append(np.log(life_of(duty.replace(output_speed=changed))))
-        shares.append((sides[1] - sides[0]) / np.log((1 + _STEP) / (1 - _STEP)) if own else 0 * sides[0])
+        shares.append((sides[1] - sides[0]) / np.log((1 + _STEP) / (1 - _STEP)) if phase_speed else 0 * sides[0])
     return np.asarray(shares)
 
 

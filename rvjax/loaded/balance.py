@@ -86,15 +86,17 @@ def _over_groups(kernel: Kernel, layout: Layout, system: System, *arrays: jax.Ar
         flat = [leaf.reshape(groups * lanes, *leaf.shape[2:]) for leaf in flat]
         found = kernel(layout, *jax.tree.unflatten(tree, flat))
         return jax.tree.map(lambda leaf: leaf.reshape(groups, lanes, *leaf.shape[1:]), found)
-    own = [len(leaf) > 1 for leaf in leaves]
+    batched_leaves = [len(leaf) > 1 for leaf in leaves]
 
     def group(given: list[jax.Array]) -> PyTree:
         rest = iter(given)
-        return kernel(layout, *jax.tree.unflatten(tree, [next(rest) if o else x[0] for x, o in zip(leaves, own)]))
+        return kernel(
+            layout, *jax.tree.unflatten(tree, [next(rest) if o else x[0] for x, o in zip(leaves, batched_leaves)])
+        )
 
     if groups == 1:
         return jax.tree.map(lambda leaf: leaf[None], group([]))
-    return jax.lax.map(group, [leaf for leaf, is_own in zip(leaves, own) if is_own])
+    return jax.lax.map(group, [leaf for leaf, is_own in zip(leaves, batched_leaves) if is_own])
 
 
 def in_blocks(kernel: Kernel, arguments: tuple[PyTree, ...]) -> PyTree:
@@ -109,8 +111,8 @@ def in_blocks(kernel: Kernel, arguments: tuple[PyTree, ...]) -> PyTree:
 
     def block(first: jax.Array) -> PyTree:
         def part(leaf: jax.Array) -> jax.Array:
-            own = leaf if len(leaf) == 1 else jax.lax.dynamic_slice_in_dim(leaf, first, width)
-            return jnp.moveaxis(own, 0, -1)
+            part_of_leaf = leaf if len(leaf) == 1 else jax.lax.dynamic_slice_in_dim(leaf, first, width)
+            return jnp.moveaxis(part_of_leaf, 0, -1)
 
         system, *arrays = jax.tree.map(part, arguments)
         result = kernel(system, *(jnp.broadcast_to(x, (*x.shape[:-1], width)) for x in arrays))

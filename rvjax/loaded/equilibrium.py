@@ -182,12 +182,12 @@ def equilibria(
         near: start from the angle before, because the crank angle differs little; or (n,) whether each does.
     """
     none = jnp.full((torques.shape[-1], layout.unknowns), jnp.nan, torques.dtype)
-    own = None if torques.ndim == 1 else torques
+    rows = None if torques.ndim == 1 else torques
     some = None if isinstance(near, bool) else jnp.asarray(near)
 
     def onward(last: jax.Array, at: _Row) -> tuple[jax.Array, tuple[Minimum, SolveInfo]]:
-        angle, given, own, follows = at
-        of_torques = jax.lax.stop_gradient(torques if own is None else own)
+        angle, given, rows, follows = at
+        of_torques = jax.lax.stop_gradient(torques if rows is None else rows)
         last = last if follows is None else jnp.where(follows, last, none)
         case = jax.lax.stop_gradient(prepare(layout, read, angle))
 
@@ -199,10 +199,10 @@ def equilibria(
         here = jnp.where(succeeded(info.status)[:, None], minima.q, jnp.nan) if near is not False else none
         return here, (minima, info)
 
-    minima, info = solved(scan(onward, none, (input_angles, start, own, some))[1])
+    minima, info = solved(scan(onward, none, (input_angles, start, rows, some))[1])
     measure = jax.checkpoint(partial(_measure, layout, take))
     taken = jax.lax.map(
-        lambda x: measure(read, torques if x[0] is None else x[0], *x[1:]), (own, input_angles, minima, info.status)
+        lambda x: measure(read, torques if x[0] is None else x[0], *x[1:]), (rows, input_angles, minima, info.status)
     )
     q = jnp.where(succeeded(info.status)[..., None], minima.q, jnp.nan)
     return Equilibria(taken, info, jax.lax.stop_gradient(q))

@@ -68,11 +68,11 @@ def solve(layout: Layout, hessian: Hessian, rhs: jax.Array) -> jax.Array:
     return jnp.concatenate([of_discs(_rows(hessian.disc), inverse, forward, border), border])
 
 
-def _eliminated(layout: Layout, matrix: jax.Array, own: list[jax.Array]) -> jax.Array:
-    """Unknowns of the border from their system (m, m + 1, l), body by body; `own`: its diagonal with the discs held."""
+def _eliminated(layout: Layout, matrix: jax.Array, diagonal: list[jax.Array]) -> jax.Array:
+    """Unknowns of the border from their system (m, m + 1, l), body by body; `diagonal`: the one with the discs held."""
     steps = []
     for size in (*[3] * layout.links, *layout.common):
-        inverse = _inverse(_corner(matrix, size), own[-len(matrix) :])
+        inverse = _inverse(_corner(matrix, size), diagonal[-len(matrix) :])
         forward, rest = stored(functools.partial(_reduced, size), matrix, inverse)
         steps.append((matrix, inverse, forward))
         matrix = rest
@@ -122,17 +122,17 @@ def _factor(block: _Block, inverse: list[jax.Array]) -> tuple[_Block, list[jax.A
     return lower, pivots
 
 
-def _inverse(block: _Block, own: list[jax.Array]) -> list[jax.Array]:
+def _inverse(block: _Block, diagonal: list[jax.Array]) -> list[jax.Array]:
     """1 / D of L D L'; a pivot lost to rounding is raised to it. L is computed from it wherever it is used.
 
     Args:
         block: to be factored.
-        own: its diagonal before any body was eliminated, of which all that is left may be rounding.
+        diagonal: its diagonal before any body was eliminated, of which all that is left may be rounding.
     """
     least = 8 * float(jnp.finfo(block[0][0].dtype).eps)
     inverse: list[jax.Array] = []
     for a in range(len(block)):
-        inverse.append(1 / jnp.maximum(_factor(block, inverse)[1][a], least * own[a]))
+        inverse.append(1 / jnp.maximum(_factor(block, inverse)[1][a], least * diagonal[a]))
     return inverse
 
 

@@ -208,9 +208,9 @@ def _errors_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[jax.
     changes = jax.tree.leaves(tangents[:2], is_leaf=still)
     moving = [i for i, change in enumerate(changes) if not still(change)]
 
-    def one(own: list[jax.Array], torque: Scalar, angle: Scalar) -> Array:
+    def one(moved: list[jax.Array], torque: Scalar, angle: Scalar) -> Array:
         whole = list(leaves)
-        for i, leaf in zip(moving, own):
+        for i, leaf in zip(moving, moved):
             whole[i] = leaf
         design, errors = jax.tree.unflatten(tree, whole)
         return _error(layout, design, errors, torque, angle)
@@ -274,8 +274,8 @@ def _spectrum(
     step = design.cycloid.pin_count if alike else 1
     count, (number, parts) = _count(design, conditions, orders, alike), part
     stiff, torques = errors.stiffened(design), jnp.asarray(torques)
-    own = jnp.asarray(np.arange(0, count, parts), torques.dtype) + jnp.asarray(number, torques.dtype)
-    angles = 2 * jnp.pi * design.ratio / step / count * own
+    numbers = jnp.asarray(np.arange(0, count, parts), torques.dtype) + jnp.asarray(number, torques.dtype)
+    angles = 2 * jnp.pi * design.ratio / step / count * numbers
     error = _errors(check_input(stiff, errors, **ways(conditions)), stiff, errors, torques, angles)
     turned = np.outer(np.arange(count), [k // step for k in orders]) * 2 * np.pi / count
     every = np.where([k % step == 0 for k in orders], 2 * parts / count * np.exp(-1j * turned), 0)

@@ -140,15 +140,15 @@ def _curve(design: RVReducer, errors: RVErrors, conditions: LoadedConditions) ->
 def _carrying(outputs: dict[str, Output]) -> dict[str, Output]:
     """Add to each output a check for missing load-carrying parts of the design, before its other checks."""
 
-    def refusing(own: Refuse | None) -> Refuse:
+    def refusing(check: Refuse | None) -> Refuse:
         def refuse(design: RVReducer, conditions: LoadedConditions) -> None:
             for part in ("stiffness", "contact"):
                 if getattr(design, part) is None:
                     cls = part_class(type(design), part)
                     keys = ", ".join(f.name for f in dataclasses.fields(cls) if f.default is dataclasses.MISSING)
                     raise ValueError(f"design.{part} is missing: a reducer under load needs it, with {keys}")
-            if own is not None:
-                own(design, conditions)
+            if check is not None:
+                check(design, conditions)
 
         return refuse
 

@@ -80,9 +80,9 @@ def _check(speed: np.ndarray, torque: np.ndarray, fit: DragFit) -> None:
     else:
         against &= False
     for side in (1, -1):
-        own = way == side
-        if side * (mean := torque[own].mean()) <= 0 or (against & own).any():
-            k = int(np.argmin(np.where(own, way * torque, np.inf)))
+        on_side = way == side
+        if side * (mean := torque[on_side].mean()) <= 0 or (against & on_side).any():
+            k = int(np.argmin(np.where(on_side, way * torque, np.inf)))
             raise ValueError(
                 f"torque[{k}] = {torque[k]:g} N m at {speed[k]:g} rad/s (mean of this direction {mean:g} N m): a "
                 "torque that keeps a speed has its sign; check the signs and subtract the zero of the bench"

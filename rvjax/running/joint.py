@@ -78,8 +78,8 @@ def _hysteresis(plan: Plan, design: PyTree, errors: PyTree, friction: Friction, 
         """Both signs of a torque; the second pass needs the friction of the first. One loop compiles once."""
         solution = equilibria(layout, read, signs * torque, read.angle[None], take)
         error, resisting = solution.taken
-        own = call.friction.static_factor * (call.friction.output_drag + resisting[0, 0])
-        return own, (own, error[0], jax.tree.map(lambda x: x[0], solution.info))
+        threshold = call.friction.static_factor * (call.friction.output_drag + resisting[0, 0])
+        return threshold, (threshold, error[0], jax.tree.map(lambda x: x[0], solution.info))
 
     passes = scan(under, jnp.zeros_like(read.torque), None, length=2)[1]
     (torque, _), (_, angle), infos = passes
@@ -206,7 +206,7 @@ def _joint(
     input_angle: Scalar,
 ) -> Joint:
     call = entered(plan, design, errors, friction, rated_torque, angle=input_angle)
-    own, ratio, rated = call.friction, design.ratio, call.read.torque
+    unit_friction, ratio, rated = call.friction, design.ratio, call.read.torque
     held_under = rated * jnp.asarray(SHARES, rated.dtype)
     turn = around(plan, call, jnp.stack([jnp.zeros_like(rated), rated, -rated]), held=held_under)
     unloaded, forward, backward = (turn.mean(torque) for torque in range(3))
@@ -221,10 +221,10 @@ def _joint(
         half_backlash=(less - more) / 2,
         stiffness=0.5 * rated / (half - full),
         damping=None if damping is None else jnp.asarray(damping, rated.dtype),
-        input_friction=unloaded - own.output_drag,
-        output_friction=own.output_drag,
-        input_viscous=ratio**2 * own.input_viscous,
-        output_viscous=own.output_viscous,
+        input_friction=unloaded - unit_friction.output_drag,
+        output_friction=unit_friction.output_drag,
+        input_viscous=ratio**2 * unit_friction.input_viscous,
+        output_viscous=unit_friction.output_viscous,
         forward_loss=driven,
         backward_loss=driving,
         mu_avg=(lost + held) / 2,

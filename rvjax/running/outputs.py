@@ -44,8 +44,8 @@ def supports_of(conditions: Any) -> tuple[str, str, str]:
     Args:
         conditions: conditions.
     """
-    own = ways(conditions)
-    return own["contact"], own["carrier"], own["sun"]
+    methods = ways(conditions)
+    return methods["contact"], methods["carrier"], methods["sun"]
 
 
 def turned(design: PyTree, errors: PyTree, conditions: Any, torques: tuple[Scalar, ...]) -> tuple[Turned, ...]:
@@ -122,8 +122,8 @@ def together(sources: tuple[Source, ...], design: PyTree, errors: PyTree, condit
         errors: as in `turned`.
         conditions: conditions.
     """
-    own: dict[Source, float] = dict(zip((idle, forward, backward), torques_of(conditions)))
-    return turned(design, errors, conditions, tuple(own[source] for source in sources))
+    torque_of: dict[Source, float] = dict(zip((idle, forward, backward), torques_of(conditions)))
+    return turned(design, errors, conditions, tuple(torque_of[source] for source in sources))
 
 
 def driven_back(design: PyTree, errors: PyTree, conditions: Any) -> BackDriving:
@@ -203,8 +203,8 @@ def _set_of(conditions: Any) -> tuple[Source, ...]:
     return (forward,) if conditions.output_torque * sign_of(conditions) >= 0 else (backward,)
 
 
-def _refusing(name: str, own: Callable[[Any], None] | None = None) -> Callable[[PyTree, Any], None]:
-    """Check the parts of a design and its friction, then run the check `own` of the conditions."""
+def _refusing(name: str, check: Callable[[Any], None] | None = None) -> Callable[[PyTree, Any], None]:
+    """Check the parts of a design and its friction, then run the check `check` of the conditions."""
 
     def refuse(design: PyTree, conditions: Any) -> None:
         if design.friction is None:
@@ -215,8 +215,8 @@ def _refusing(name: str, own: Callable[[Any], None] | None = None) -> Callable[[
                 keys = ", ".join(f.name for f in dataclasses.fields(cls) if f.default is dataclasses.MISSING)
                 raise ValueError(f"design.{part} is missing: {name} needs it, with {keys}")
         check_call(name, design, design.error_record(), None, supports_of(conditions), conditions.running_samples)
-        if own is not None:
-            own(conditions)
+        if check is not None:
+            check(conditions)
 
     return refuse
 

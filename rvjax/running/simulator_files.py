@@ -177,8 +177,8 @@ def _add(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTre
 
 def _body(world: ElementTree.Element, name: str, inertia: float, viscous: float, friction: float) -> None:
     """A body on a hinge; its inertia is the armature of the joint."""
-    body, own = _add(world, "body", name=name), digits(NOTHING * inertia)
-    _add(body, "inertial", pos="0 0 0", mass=own, diaginertia=f"{own} {own} {own}")
+    body, mass = _add(world, "body", name=name), digits(NOTHING * inertia)
+    _add(body, "inertial", pos="0 0 0", mass=mass, diaginertia=f"{mass} {mass} {mass}")
     moving = dict(armature=digits(inertia), damping=digits(viscous), frictionloss=digits(friction))
     _add(body, "joint", name=name, type="hinge", axis="0 0 1", **moving)
 
