@@ -18,7 +18,7 @@ from rvjax import catalogue, identify, models
 from rvjax.loaded.cases import MACHINE
 from rvjax.measured import Conditions
 from rvjax.study.bench import curve_model
-from rvjax.study.nuisances import nuisance
+from rvjax.study.identification import nuisance
 from rvjax.tolerances import Tolerance, for_design, sample
 from rvjax.units import arcmin, arcsec, um
 

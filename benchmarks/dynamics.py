@@ -16,10 +16,10 @@ import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
-from oracles.dynamics import Oracle  # noqa: E402
 from rvjax import Damping, dynamics  # noqa: E402
 from rvjax.catalogue import RV_320E  # noqa: E402
 from rvjax.units import rpm  # noqa: E402
+from tests.oracles.dynamics import Oracle  # noqa: E402
 
 TORQUE, RATED = -3136.0, 1000 * rpm
 SPEEDS = np.linspace(200, 4000, 2000) * rpm

@@ -21,7 +21,7 @@ import rvjax
 from rvjax import catalogue, identify, models
 from rvjax.measured import Conditions
 from rvjax.study.bench import curve_model
-from rvjax.study.nuisances import nuisance
+from rvjax.study.identification import nuisance
 from rvjax.tolerances import Tolerance, sample
 from rvjax.units import arcmin, arcsec, um
 

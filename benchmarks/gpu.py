@@ -32,7 +32,7 @@ from rvjax import study  # noqa: E402
 from rvjax.population.population import Population, drawn, root_key  # noqa: E402
 from rvjax.response import parts, units_on  # noqa: E402
 from rvjax.response.response import respond  # noqa: E402
-from rvjax.study.read import parse_study  # noqa: E402
+from rvjax.study.reader import parse_study  # noqa: E402
 
 CHEAP = {"rv-40e": 2**20, "corr": 2**17}  # units in one call
 WHOLE, UNITS = "rv-40e-whole", 2**13

@@ -7,8 +7,8 @@ import argparse
 import time
 
 import rvjax
-from oracles.known_optima import CASES
 from rvjax.tolerances import allocate
+from tests.oracles.known_optima import CASES
 
 ROW = "| {} | {:.4f} | {} | {:.4f} | {:.4f} | {} | {:.3f} |"
 

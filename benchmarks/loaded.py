@@ -35,11 +35,11 @@ import jax.numpy as jnp  # noqa: E402
 
 from benchmarks.loaded_numba import in_numba  # noqa: E402
 from benchmarks.loaded_others import COLUMNS, FIELDS, OFFSETS, in_numpy, numbers, source  # noqa: E402
-from oracles import loaded as oracle  # noqa: E402
-from oracles.loaded_machine import STAGES  # noqa: E402
 from rvjax import RVErrors, catalogue, loaded  # noqa: E402
 from rvjax._jax.programs import QUICK  # noqa: E402
 from rvjax.loaded.cases import MACHINE  # noqa: E402
+from tests.oracles import loaded as oracle  # noqa: E402
+from tests.oracles.loaded_machine import STAGES  # noqa: E402
 
 UNITS, TURNED, CHECKED, LOOP_UNITS = 4096, 512, 8, 2  # at one angle; along a turn; by the oracle; by SciPy
 RATED, ANGLE, SAMPLES = 412.0, 102.856, 48

@@ -21,12 +21,12 @@ settings()
 import jax  # noqa: E402  (after the flags)
 import jax.numpy as jnp  # noqa: E402
 
-from oracles import loaded as oracle  # noqa: E402
-from oracles.loaded_machine import ERRORS  # noqa: E402
 from rvjax import RVErrors, catalogue, dynamics, four_bar, lost_motion  # noqa: E402
 from rvjax.designs import Contact, Stiffness  # noqa: E402
 from rvjax.loaded.cases import MACHINE  # noqa: E402
 from rvjax.units import arcmin, arcsec, mm, um  # noqa: E402
+from tests.oracles import loaded as oracle  # noqa: E402
+from tests.oracles.loaded_machine import ERRORS  # noqa: E402
 
 ANGLES = 32  # of a crank turn
 STEEL = dict(young_modulus=206e9, poisson_ratio=0.3)

@@ -194,13 +194,13 @@ def compared(rows: dict[str, Row], frozen: dict[str, Row]) -> bool:
 def revision() -> str:
     """Commit, with a mark where it is not all."""
     git = lambda *words: subprocess.run(["git", *words], cwd=ROOT, capture_output=True, check=True, text=True).stdout  # noqa: E731
-    changed = git("status", "--porcelain", "--", "rvjax", "oracles", "tests", "benchmarks/optima_problems.py")
+    changed = git("status", "--porcelain", "--", "rvjax", "tests", "benchmarks/optima_problems.py")
     return git("rev-parse", "--short", "HEAD").strip() + (" with changes" if changed else "")
 
 
 def digest() -> str:
     """Of what decides the rows."""
-    parts = [*ROOT.glob("rvjax/**/*.py"), *ROOT.glob("rvjax/**/*.toml"), *ROOT.glob("oracles/*.py")]
+    parts = [*ROOT.glob("rvjax/**/*.py"), *ROOT.glob("rvjax/**/*.toml"), *ROOT.glob("tests/oracles/*.py")]
     parts += [*ROOT.glob("tests/codesign_*.py"), *ROOT.glob("benchmarks/optima_problems.py")]
     return hashlib.sha256(b"".join(path.read_bytes() for path in sorted(parts))).hexdigest()[:16]
 

@@ -18,11 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import optimize, stats
 
-from census import grades
-from oracles import known_optima
-from oracles.known_optima import least, squares
-from oracles.linear_pair import COSTS, LIMIT, PAIR, closed_cost, linear, radius, two
-from oracles.responses import Failing, Linear
+from benchmarks.census import grades
 from rvjax.commands.init.compute import written
 from rvjax.study import Study, load, parse_study
 from rvjax.tolerances import (
@@ -38,6 +34,10 @@ from rvjax.tolerances import (
 )
 from rvjax.units import um
 from tests import codesign_cases, codesign_random
+from tests.oracles import known_optima
+from tests.oracles.known_optima import least, squares
+from tests.oracles.linear_pair import COSTS, LIMIT, PAIR, closed_cost, linear, radius, two
+from tests.oracles.responses import Failing, Linear
 
 THREE_CRANKS = Path(__file__).parents[1] / "tests" / "three-cranks.toml"
 OWN = Path(__file__).parents[1] / "tests" / "three-cranks-own.toml"
@@ -85,7 +85,7 @@ def pair(limit: float, optimum: float, price: float | None, **changes: Any) -> K
 
 
 def published(name: str) -> Known:
-    """Of `oracles.known_optima`."""
+    """Of `tests.oracles.known_optima`."""
     case = known_optima.CASES[name]()
     given = {key: getattr(case, key) for key in ("response", "tolerances", "requirements", "costs")}
     return Known(given | (dict(certificate_samples=250_000) if name == "200 fields" else {}), case.optimum)

@@ -120,7 +120,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--way", metavar="STUDY", help="also count the files on the way of an allocation")
     options = parser.parse_args()
-    folders = {name: sources(ROOT / name) for name in ("rvjax", "tests", "benchmarks", "census", "oracles")}
+    folders = {name: sources(ROOT / name) for name in ("rvjax", "tests", "benchmarks")}
     print(f"{'folder':36} {'files':>6} {'code lines':>10}")
     for name, files in folders.items():
         print(f"{name:36} {len(files):6,} {sum(len(file.lines) for file in files):10,}")

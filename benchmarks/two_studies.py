@@ -23,7 +23,7 @@ from rvjax.commands.compare import cost_of, put_into
 from rvjax.population.estimates import wilson
 from rvjax.render import plain
 from rvjax.response.response import BLOCK
-from rvjax.study.read import EMBEDDED
+from rvjax.study.reader import EMBEDDED
 from rvjax.tolerances import allocate, monte_carlo
 
 KEPT = Path(__file__).parent / "two_studies.json"

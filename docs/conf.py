@@ -1,4 +1,4 @@
-"""Sphinx: `sphinx-build -W -n docs docs/_build`; pictures and tables are made from rvjax itself while it builds."""
+"""Sphinx: `sphinx-build -W -n docs docs/_build`; pictures, and tables of measurements, are made while it builds."""
 
 import os
 import re

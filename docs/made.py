@@ -1,19 +1,16 @@
-"""Tables and drawings of rvjax itself, made while the docs are built."""
+"""Drawings, and tables of stored measurements, made while the docs are built."""
 
-import dataclasses
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import measured
 import pictures
 import two_studies
-from stored import table
 
 import rvjax
-from rvjax import levels, models, plotting, published, units
-from rvjax.errors import CamRollerErrors, RVErrors
+from benchmarks.tables import table
+from rvjax import levels, plotting, published
 from rvjax.levels.table import stored as measured_levels
-from rvjax.status import MEANING, PRECEDENCE, SUCCESS
 from rvjax.units import arcsec, readable
 
 
@@ -33,49 +30,6 @@ def everything(folder: Path) -> None:
 def _write(path: Path, content: bytes) -> None:
     if not path.exists() or path.read_bytes() != content:  # an unchanged page is not built again
         path.write_bytes(content)
-
-
-def _statuses():
-    rows = [(f"`{s.name}`", MEANING[s], "passes" if s in SUCCESS else "raises") for s in PRECEDENCE]
-    return table(["status, worst first", "meaning", "`check`"], rows)
-
-
-def _units():
-    rows = [(f"`{unit}`", ", ".join(f"`{name}`" for name in names)) for unit, names in units.KNOWN.items()]
-    return table(["SI unit", "what a study file may write"], rows)
-
-
-def _outputs():
-    rows = [
-        (f"`{kind}`", f"`{name}`", output.unit, output.meaning)
-        for kind, design in models.kinds().items()
-        for name, output in models.kind_of(design).outputs.items()
-    ]
-    return table(["kind of design", "response", "unit", "meaning"], rows)
-
-
-def _conditions():
-    blocks = []
-    for name, design in models.kinds().items():
-        rows = []
-        for f in dataclasses.fields(models.kind_of(design).conditions):
-            choices = ", ".join(f"`{choice}`" for choice in f.metadata["choices"] or ())
-            columns = ", ".join(f"`{key}` [{unit}]" for key, unit in (f.metadata["columns"] or {}).items())
-            what = (
-                choices or f.metadata["unit"] or columns or f"count, {f.metadata['minimum']} to {f.metadata['maximum']}"
-            )
-            rows.append((f"`{f.name}`", what, "-" if f.default is None else f"`{f.default}`", f.metadata["meaning"]))
-        blocks += [f"For designs of kind `{name}`:\n", table(["key", "unit or choices", "default", "meaning"], rows)]
-    return "\n".join(blocks)
-
-
-def _errors(cls):
-    rows = [(f"`{f.name}`", f.metadata["unit"], _shape(f), f.metadata["meaning"]) for f in dataclasses.fields(cls)]
-    return table(["error", "unit", "shape", "meaning; a deviation from nominal"], rows)
-
-
-def _shape(f):
-    return " x ".join(map(str, f.metadata["shape"])) or "one number"
 
 
 def _levels():
@@ -132,18 +86,12 @@ TEXTS = {
     "assembly_levers": measured.assembly_levers,
     "bench_table": measured.bench,
     "end_of_line": measured.end_of_line,
-    "conditions": _conditions,
     "coverage_intervals": measured.coverage_intervals,
     "coverage_rare": measured.coverage_rare,
-    "errors_cam_roller": lambda: _errors(CamRollerErrors),
-    "errors_rv": lambda: _errors(RVErrors),
     "levels": _levels,
-    "outputs": _outputs,
     "reproduce": _reproduce,
-    "statuses": _statuses,
     "two_models": two_studies.models,
     "two_studies": two_studies.yields,
     "two_tolerances": two_studies.tolerances,
     "two_forces": two_studies.forces,
-    "units": _units,
 }

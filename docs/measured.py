@@ -1,9 +1,9 @@
 """Tables of the docs from what scripts of `benchmarks` measured: coverage, assembly, the bench."""
 
 from scipy import special
-from stored import stored, table
 
 from benchmarks import bench_table
+from benchmarks.tables import stored, table
 
 
 def _percent(share, seeds, due=0.95):

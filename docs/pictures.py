@@ -6,9 +6,9 @@ import jax
 import matplotlib.pyplot as plt
 import numpy as np
 import two_studies
-from stored import stored
 
 from benchmarks import bench_table
+from benchmarks.tables import stored
 from rvjax import (
     catalogue,
     compensation,

@@ -1,8 +1,8 @@
 """The two studies of the RV-40E side by side: tables and figures from stored results of `benchmarks`."""
 
 import numpy as np
-from stored import stored, table
 
+from benchmarks.tables import stored, table
 from rvjax import plotting, study
 from rvjax.commands.budget import Budget
 from rvjax.commands.cells import limits_of

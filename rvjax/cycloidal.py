@@ -13,7 +13,7 @@ from rvjax._ground.choices import choose
 from rvjax._reducer.bearings import Bearings
 from rvjax._reducer.friction import Friction
 from rvjax.designs import Contact, CycloidStage
-from rvjax.errors import RUNNING, Errors, RVErrors, deviation, part
+from rvjax.errors import RUNNING, Errors, RVErrors, deviation, part, placed, share
 from rvjax.records import Record, Scalar, concrete, count, field, quantity, record, text
 
 MEMBERS = ("carrier", "ring")
@@ -112,84 +112,64 @@ class CycloidalErrors(Errors):
     disc_centre: Scalar = _as_rv("disc_centre", "teeth against bore, x, y at input angle 0")
     disc_pitch: Scalar = _as_rv("disc_pitch")
     disc_profile: Scalar = _as_rv("disc_profile")
-    throw: Scalar = deviation(
-        "m",
+    throw: Scalar = placed(
         "longer throw of each eccentric of the shaft than of the flank",
         SHAFT,
         READ_BY,
         shape=("discs",),
         of="cycloid.eccentricity",
-        placed=True,
     )
     eccentric_phase: Scalar = deviation(
         "rad", "angle of each eccentric on the shaft", SHAFT, READ_BY, shape=("discs",), placed=True
     )
-    hole_position: Scalar = deviation(
-        "m",
+    hole_position: Scalar = placed(
         "position of each hole against the bore of its disc",
         DISCS,
         READ_BY,
         shape=("discs", "output_pins", 2),
         of="output.circle_radius",
-        placed=True,
         vector="polar",
         carried_by="disc",
         mirrored=(1, -1),
     )
-    hole_radius: Scalar = deviation(
-        "m",
-        "radius of each hole; > 0 is clearance",
-        DISCS,
-        READ_BY,
-        shape=("discs", "output_pins"),
-        placed=True,
-        carried_by="disc",
+    hole_radius: Scalar = placed(
+        "radius of each hole; > 0 is clearance", DISCS, READ_BY, shape=("discs", "output_pins"), carried_by="disc"
     )
-    output_pin_offset: Scalar = deviation(
-        "m",
+    output_pin_offset: Scalar = placed(
         "position of each output pin in the carrier",
         OUTPUT,
         READ_BY,
         shape=("output_pins", 2),
         of="output.circle_radius",
-        placed=True,
         vector="polar",
         carried_by="carrier",
     )
-    output_pin_radius: Scalar = deviation(
-        "m",
+    output_pin_radius: Scalar = placed(
         "radius of each output pin; < 0 is clearance",
         OUTPUT,
         READ_BY,
         shape=("output_pins",),
         of="output.pin_radius",
-        placed=True,
         carried_by="carrier",
     )
-    shaft_centre: Scalar = deviation(
-        "m",
+    shaft_centre: Scalar = placed(
         "axis of the shaft against the main axis, x, y in the part at rest at input angle 0",
         SHAFT,
         READ_BY,
         shape=(2,),
-        placed=True,
         vector="xy",
         breaks_pitch=True,
     )
-    carrier_centre: Scalar = deviation(
-        "m",
+    carrier_centre: Scalar = placed(
         "circle of output pins against the main axis, x, y at input angle 0; turns with the carrier",
         CARRIER,
         READ_BY,
         shape=(2,),
-        placed=True,
         vector="xy",
         carried_by="carrier",
     )
     ring_pin_friction: Scalar = _as_rv("ring_pin_friction", reader=RUNNING)
-    output_pin_friction: Scalar = deviation(
-        "-", "share by which the friction of output pins is larger", OUTPUT, RUNNING
-    )
+    output_pin_friction: Scalar = share("the friction of output pins is larger", OUTPUT, RUNNING)
     arm_bearing_friction: Scalar = _as_rv(
         "arm_bearing_friction", "share by which the friction of the eccentric bearings is larger", reader=RUNNING
     )

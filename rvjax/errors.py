@@ -5,17 +5,28 @@ model to a field it does not read is exactly zero. The metadata of its field (`d
 to the other layers: a new error is one field.
 """
 
-from collections.abc import Iterable, Mapping
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
 
-from rvjax._reducer.deviations import STAGES, Bound, Errors, described, deviation, part, placed_by, read_by
+from rvjax._reducer.deviations import (
+    STAGES,
+    Bound,
+    Errors,
+    described,
+    deviation,
+    length,
+    part,
+    placed,
+    placed_by,
+    read_by,
+    share,
+)
 from rvjax.records import Scalar, record
 
-__all__ = ["STAGES", "Bound", "CamRollerErrors", "Errors", "RVErrors", "described", "deviation", "part"]
-__all__ += ["placed_by", "read_by"]
+__all__ = ["STAGES", "Bound", "CamRollerErrors", "Errors", "RVErrors", "described", "deviation", "length", "part"]
+__all__ += ["placed", "placed_by", "read_by", "share"]
 
 SUN, PLANETS, GEARS = (part(name, stage="involute") for name in ("sun", "planets", "gears"))
 DISCS, RING = (part(name, stage="cycloid") for name in ("discs", "ring"))
@@ -63,8 +74,7 @@ class RVErrors(Errors):
 
     of_design: ClassVar[str] = "RVReducer"
 
-    crank_eccentricity: Scalar = deviation(
-        "m",
+    crank_eccentricity: Scalar = length(
         "eccentricity of each crank journal",
         CRANKS,
         LINKS,
@@ -75,8 +85,7 @@ class RVErrors(Errors):
     crank_phase: Scalar = deviation(
         "rad", "angle of each crankshaft", CRANKS, LINKS, shape=("cranks",), carried_by="crank"
     )
-    disc_bore: Scalar = deviation(
-        "m",
+    disc_bore: Scalar = length(
         "position of the bores in the discs",
         DISCS,
         LINKS,
@@ -86,8 +95,7 @@ class RVErrors(Errors):
         carried_by="disc",
         mirrored=(1, -1),
     )
-    carrier_bore: Scalar = deviation(
-        "m",
+    carrier_bore: Scalar = length(
         "position of the bores in the carrier",
         CARRIER,
         LINKS,
@@ -96,179 +104,127 @@ class RVErrors(Errors):
         vector="polar",
         carried_by="carrier",
     )
-    bearing_clearance: Scalar = deviation(
-        "m",
+    bearing_clearance: Scalar = length(
         "radial clearance of the crank bearings, half the diametral clearance",
         BEARINGS,
         ("four_bar", *CLEARANCES),
         sign="nonnegative",
     )
-    eccentricity: Scalar = deviation(
-        "m", "eccentricity of discs and cranks alike", CRANKS, ("four_bar", *CLEARANCES), of="cycloid.eccentricity"
+    eccentricity: Scalar = length(
+        "eccentricity of discs and cranks alike", CRANKS, ("four_bar", *CLEARANCES), of="cycloid.eccentricity"
     )
-    pin_circle_radius: Scalar = deviation(
-        "m", "radius of the pin circle; > 0 is clearance", RING, CLEARANCES, of="cycloid.pin_circle_radius"
+    pin_circle_radius: Scalar = length(
+        "radius of the pin circle; > 0 is clearance", RING, CLEARANCES, of="cycloid.pin_circle_radius"
     )
-    pin_radius: Scalar = deviation(
-        "m", "radius of the pins; < 0 is clearance", RING, CLEARANCES, of="cycloid.pin_radius"
+    pin_radius: Scalar = length("radius of the pins; < 0 is clearance", RING, CLEARANCES, of="cycloid.pin_radius")
+    pin_hole_clearance: Scalar = length(
+        "diametral clearance of the pins", RING, CLEARANCES, sign="nonnegative", of="cycloid.pin_radius"
     )
-    pin_hole_clearance: Scalar = deviation(
-        "m", "diametral clearance of the pins", RING, CLEARANCES, sign="nonnegative", of="cycloid.pin_radius"
+    pin_position: Scalar = length(
+        "circumferential position of the pins", RING, ("lost_motion",), bounds=Bound("pin_offset", _tangential)
     )
-    pin_position: Scalar = deviation(
-        "m", "circumferential position of the pins", RING, ("lost_motion",), bounds=Bound("pin_offset", _tangential)
+    disc_runout: Scalar = length(
+        "radial runout of the disc teeth", DISCS, ("lost_motion",), bounds=Bound("disc_centre", _runout)
     )
-    disc_runout: Scalar = deviation(
-        "m", "radial runout of the disc teeth", DISCS, ("lost_motion",), bounds=Bound("disc_centre", _runout)
+    disc_cumulative_pitch: Scalar = length(
+        "cumulative pitch error of the disc", DISCS, ("lost_motion",), bounds=Bound("disc_pitch", _range)
     )
-    disc_cumulative_pitch: Scalar = deviation(
-        "m", "cumulative pitch error of the disc", DISCS, ("lost_motion",), bounds=Bound("disc_pitch", _range)
+    equidistant_modification: Scalar = length("deviation of the equidistant modification", DISCS, CLEARANCES)
+    shift_modification: Scalar = length("deviation of the shift modification", DISCS, CLEARANCES)
+    base_tangent_upper: Scalar = length(
+        "upper deviation of the base tangent length; < 0 thins the tooth", GEARS, CLEARANCES
     )
-    equidistant_modification: Scalar = deviation("m", "deviation of the equidistant modification", DISCS, CLEARANCES)
-    shift_modification: Scalar = deviation("m", "deviation of the shift modification", DISCS, CLEARANCES)
-    base_tangent_upper: Scalar = deviation(
-        "m", "upper deviation of the base tangent length; < 0 thins the tooth", GEARS, CLEARANCES
+    base_tangent_lower: Scalar = length(
+        "lower deviation of the base tangent length; < 0 thins the tooth", GEARS, CLEARANCES
     )
-    base_tangent_lower: Scalar = deviation(
-        "m", "lower deviation of the base tangent length; < 0 thins the tooth", GEARS, CLEARANCES
+    support_clearance: Scalar = placed(
+        "radial clearance of the cranks in the carrier", BEARINGS, LOADED, sign="nonnegative"
     )
-    support_clearance: Scalar = deviation(
-        "m", "radial clearance of the cranks in the carrier", BEARINGS, LOADED, sign="nonnegative", placed=True
+    pin_offset: Scalar = placed(
+        "position of each pin in the housing", RING, EXCITATION, shape=("pins", 2), vector="polar", breaks_pitch=True
     )
-    pin_offset: Scalar = deviation(
-        "m",
-        "position of each pin in the housing",
-        RING,
-        EXCITATION,
-        shape=("pins", 2),
-        placed=True,
-        vector="polar",
-        breaks_pitch=True,
-    )
-    pin_radii: Scalar = deviation(
-        "m",
+    pin_radii: Scalar = placed(
         "radius of each pin, added to the common one",
         RING,
         EXCITATION,
         shape=("pins",),
         of="cycloid.pin_radius",
-        placed=True,
         breaks_pitch=True,
     )
-    ring_centre: Scalar = deviation(
-        "m",
+    ring_centre: Scalar = placed(
         "pin circle against the main bearings, housing x, y",
         RING,
         EXCITATION,
         shape=(2,),
-        placed=True,
         vector="xy",
         breaks_pitch=True,
     )
-    disc_centre: Scalar = deviation(
-        "m",
+    disc_centre: Scalar = placed(
         "teeth against bores, x, y at input angle 0",
         DISCS,
         EXCITATION,
         shape=("discs", 2),
-        placed=True,
         vector="xy",
         carried_by="disc",
     )
-    disc_pitch: Scalar = deviation(
-        "m",
+    disc_pitch: Scalar = placed(
         "position of each tooth on its circle, counter-clockwise",
         DISCS,
         LOADED,
         shape=("discs", "teeth"),
-        placed=True,
         carried_by="disc",
         mirrored=(-1,),
     )
-    disc_profile: Scalar = deviation(
-        "m",
+    disc_profile: Scalar = placed(
         "material normal to the flank, [cosine, sine] of 0 to 4 times the angle of a lobe",
         DISCS,
         LOADED,
         shape=("discs", 5, 2),
-        placed=True,
         carried_by="disc",
         mirrored=(1, -1),
     )
-    sun_runout: Scalar = deviation(
-        "m",
+    sun_runout: Scalar = placed(
         "eccentricity of the sun teeth, x, y at input angle 0",
         SUN,
         EXCITATION,
         shape=(2,),
-        placed=True,
         vector="xy",
         breaks_pitch=True,
     )
-    planet_runout: Scalar = deviation(
-        "m",
-        "eccentricity of the planet teeth",
-        PLANETS,
-        EXCITATION,
-        shape=("cranks", 2),
-        placed=True,
-        vector="polar",
-        carried_by="crank",
+    planet_runout: Scalar = placed(
+        "eccentricity of the planet teeth", PLANETS, EXCITATION, shape=("cranks", 2), vector="polar", carried_by="crank"
     )
-    sun_planet_stiffness: Scalar = deviation(
-        "-", "share by which all meshes of sun and planets are stiffer", GEARS, of="stiffness.sun_planet_mesh"
+    sun_planet_stiffness: Scalar = share(
+        "all meshes of sun and planets are stiffer", GEARS, of="stiffness.sun_planet_mesh"
     )
-    disc_pin_stiffness: Scalar = deviation(
-        "-", "share by which all meshes of discs and pins are stiffer", RING, of="stiffness.disc_pin_mesh"
+    disc_pin_stiffness: Scalar = share("all meshes of discs and pins are stiffer", RING, of="stiffness.disc_pin_mesh")
+    turning_arm_stiffness: Scalar = share(
+        "all bearings in the discs are stiffer", BEARINGS, of="stiffness.turning_arm_bearing"
     )
-    turning_arm_stiffness: Scalar = deviation(
-        "-", "share by which all bearings in the discs are stiffer", BEARINGS, of="stiffness.turning_arm_bearing"
+    support_stiffness: Scalar = share(
+        "all bearings in the carrier are stiffer", BEARINGS, of="stiffness.support_bearing"
     )
-    support_stiffness: Scalar = deviation(
-        "-", "share by which all bearings in the carrier are stiffer", BEARINGS, of="stiffness.support_bearing"
+    ring_pin_friction: Scalar = share("the friction of ring pins is larger", RING, RUNNING)
+    arm_bearing_friction: Scalar = share("the friction of the bearings in the discs is larger", BEARINGS, RUNNING)
+    support_bearing_friction: Scalar = share("the friction of the bearings in the carrier is larger", BEARINGS, RUNNING)
+    gear_mesh_friction: Scalar = share("the loss of the meshes of sun and planets is larger", GEARS, RUNNING)
+    drag_friction: Scalar = share("drags, viscous drags and moments of unloaded bearings are larger", BEARINGS, RUNNING)
+    sun_flank: Scalar = length(
+        "flanks of the sun; > 0 is material", SUN, ("dynamics",), shape=("sun_orders", 2), series=True
     )
-    ring_pin_friction: Scalar = deviation("-", "share by which the friction of ring pins is larger", RING, RUNNING)
-    arm_bearing_friction: Scalar = deviation(
-        "-", "share by which the friction of the bearings in the discs is larger", BEARINGS, RUNNING
-    )
-    support_bearing_friction: Scalar = deviation(
-        "-", "share by which the friction of the bearings in the carrier is larger", BEARINGS, RUNNING
-    )
-    gear_mesh_friction: Scalar = deviation(
-        "-", "share by which the loss of the meshes of sun and planets is larger", GEARS, RUNNING
-    )
-    drag_friction: Scalar = deviation(
-        "-", "share by which drags, viscous drags and moments of unloaded bearings are larger", BEARINGS, RUNNING
-    )
-    sun_flank: Scalar = deviation(
-        "m", "flanks of the sun; > 0 is material", SUN, ("dynamics",), shape=("sun_orders", 2), series=True
-    )
-    planet_flank: Scalar = deviation(
-        "m",
+    planet_flank: Scalar = length(
         "flanks of each planet; > 0 is material",
         PLANETS,
         ("dynamics",),
         shape=("cranks", "planet_orders", 2),
         series=True,
     )
-    disc_flank: Scalar = deviation(
-        "m", "flank of each disc; > 0 is material", DISCS, ("dynamics",), shape=("discs", "disc_orders", 2), series=True
+    disc_flank: Scalar = length(
+        "flank of each disc; > 0 is material", DISCS, ("dynamics",), shape=("discs", "disc_orders", 2), series=True
     )
-    ring_flank: Scalar = deviation(
-        "m", "pins of the ring; > 0 is material", RING, ("dynamics",), shape=("ring_orders", 2), series=True
+    ring_flank: Scalar = length(
+        "pins of the ring; > 0 is material", RING, ("dynamics",), shape=("ring_orders", 2), series=True
     )
-
-    def bounded(self, names: Iterable[str]) -> Self:
-        """The same errors with some bounds without a place as what they bound: of one unit, one home.
-
-        Args:
-            names: errors with `bounds`. `disc_runout` becomes twice the largest length of a `disc_centre`,
-                `pin_position` the largest tangential `pin_offset`, `disc_cumulative_pitch` the largest range of a
-                `disc_pitch`.
-        """
-        bounds: Mapping[str, Bound] = described(self, "bounds")
-        own = {name: bounds[name] for name in names}
-        return self.replace(**{n: bound.size(jnp.asarray(getattr(self, bound.placed))) for n, bound in own.items()})
 
 
 @record
@@ -277,12 +233,9 @@ class CamRollerErrors(Errors):
 
     of_design: ClassVar[str] = "CamRollerReducer"
 
-    cam_radius: Scalar = deviation("m", "radius of the disc cam", CAM, ("mesh_force",), of="cam_radius")
-    eccentricity: Scalar = deviation(
-        "m", "eccentricity of the cam (installation)", CAM, ("mesh_force",), of="eccentricity"
-    )
-    roller_radius: Scalar = deviation(
-        "m",
+    cam_radius: Scalar = length("radius of the disc cam", CAM, ("mesh_force",), of="cam_radius")
+    eccentricity: Scalar = length("eccentricity of the cam (installation)", CAM, ("mesh_force",), of="eccentricity")
+    roller_radius: Scalar = length(
         "radius of the rollers, one number or one per roller",
         ROLLERS,
         ("mesh_force",),

@@ -75,7 +75,7 @@ def bisect(
 @checked
 def bracketed(
     residual: Residual,
-    params: PyTree,
+    params: object,
     lower: Scalar,
     upper: Scalar,
     *,
@@ -110,7 +110,7 @@ def bracketed(
 @partial(jax.jit, inline=True, static_argnums=0, static_argnames=("max_steps", "tolerance"))
 def _bracketed(
     residual: Residual,
-    params: PyTree,
+    params: object,
     lower: Array,
     upper: Array,
     start: Array | None,
@@ -133,20 +133,22 @@ def _masked(value: jax.Array, info: SolveInfo) -> Root:
 
 @partial(jax.custom_jvp, nondiff_argnums=(0, 1))
 def _implicit(
-    residual: Residual, iterate: Callable[..., PyTree], params: PyTree, guess: PyTree
+    residual: Residual, iterate: Callable[..., PyTree], params: object, guess: object
 ) -> tuple[PyTree, SolveInfo]:
     return iterate(residual, params, guess)
 
 
 @_implicit.defjvp
-def _implicit_jvp(residual: Residual, iterate: Callable[..., PyTree], primals: PyTree, tangents: PyTree) -> PyTree:
+def _implicit_jvp(
+    residual: Residual, iterate: Callable[..., PyTree], primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]
+) -> PyTree:
     (params, guess), (dparams, _) = primals, tangents
     value, info = _implicit(residual, iterate, params, guess)
     good = succeeded(info.status)
 
     # A failed batch element may hold NaN. Selecting before and after the linear map keeps both its tangent and,
     # transposed, its cotangent exactly zero, here and in second derivatives.
-    def keep(tree: PyTree) -> PyTree:
+    def keep(tree: object) -> PyTree:
         return jax.tree.map(lambda leaf: jnp.where(good, leaf, jax.lax.stop_gradient(leaf)), tree)
 
     value, params = keep(value), keep(params)
@@ -159,7 +161,7 @@ def _implicit_jvp(residual: Residual, iterate: Callable[..., PyTree], primals: P
 
 
 def _bracketed_iteration(
-    residual: Residual, params: PyTree, guess: PyTree, *, max_steps: int, tolerance: float
+    residual: Residual, params: tuple[jax.Array, ...], guess: PyTree, *, max_steps: int, tolerance: float
 ) -> tuple[jax.Array, SolveInfo]:
     lower, upper, start = guess
     at_lower, at_upper = residual(lower, params), residual(upper, params)
@@ -170,13 +172,13 @@ def _bracketed_iteration(
     x = jnp.clip(start, jnp.minimum(lower, upper), jnp.maximum(lower, upper))
     x = jnp.where(at_lower == 0, lower, jnp.where(at_upper == 0, upper, x))  # an end that is a root
 
-    def running(state: PyTree) -> jax.Array:
+    def running(state: tuple[jax.Array, ...]) -> jax.Array:
         return state[-2] == _RUNNING
 
     def at(x: jax.Array) -> PyTree:
         return jax.jvp(lambda y: residual(y, params), (x,), (jnp.ones_like(x),))
 
-    def body(state: PyTree) -> PyTree:
+    def body(state: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
         # The residual comes with the state: computed here it might be rounded differently for each result, and one
         # would take x for the root while another moves on.
         x, value, slope, below, above, last, stride, status, steps = state

@@ -174,7 +174,7 @@ class Gate(NamedTuple):
         """True for a case that passed."""
         return functools.reduce(operator.and_, [~failed for failed, _ in self.refused])
 
-    def close(self, values: PyTree, *checks: Check, info: SolveInfo | None = None) -> tuple[PyTree, SolveInfo]:
+    def close(self, values: object, *checks: Check, info: SolveInfo | None = None) -> tuple[PyTree, SolveInfo]:
         """Values for the user, NaN where the status requires it, and the `SolveInfo` of the solve.
 
         Args:
@@ -192,7 +192,7 @@ class Gate(NamedTuple):
         return values, SolveInfo(status, info.steps, info.residual)
 
 
-def admit(inputs: PyTree, harmless: PyTree, *checks: Check, after: Gate | None = None) -> tuple[PyTree, Gate]:
+def admit(inputs: object, harmless: object, *checks: Check, after: Gate | None = None) -> tuple[PyTree, Gate]:
     """The inputs with harmless numbers in the place of every case outside a model's domain, and its gate.
 
     Args:

@@ -8,10 +8,10 @@ from unittest import mock
 
 import jax.numpy as jnp
 
-from oracles.responses import Lever
 from rvjax import study
 from rvjax.tolerances import CpkAtLeast, Middle, Nominal, ReciprocalPower, Requirement, Tolerance, Variable, allocate
 from rvjax.tolerances.allocation import search
+from tests.oracles.responses import Lever
 
 CASES = {
     case["id"]: case

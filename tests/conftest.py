@@ -7,7 +7,7 @@ Benchmarks and the census compile as users do, and compare results first; `machi
 
 The files of one model run in one worker, one after another, and share what it has traced. A worker above three
 gigabytes forgets its programs after a module, else it grows by a gigabyte every few minutes; the last lines of a run
-say how far each one came.
+say how far each one came, and which files took most CPU time and how many programs each of them compiled.
 
 Tried without gain (60 small programs, three alternating runs, 2.0 to 2.4 s each way): XLA's thunks off, its scheduler
 for concurrency off. Nor on one program of a bearing life: fusion off (six times the compilation), no algebraic
@@ -21,6 +21,8 @@ import json
 import os
 import resource
 import sys
+import time
+from collections import Counter
 from pathlib import Path
 
 import environment  # noqa: F401  before JAX
@@ -53,6 +55,12 @@ REFERENCE = Path(__file__).parent / "reference"
 
 EVENTS: list[str] = []  # what JAX traced, lowered and compiled; one listener for all, that nobody takes away
 jax.monitoring.register_event_duration_secs_listener(lambda event, *_, **__: EVENTS.append(event))
+COMPILED = "/jax/core/compile/backend_compile_duration"
+SPENT: dict[str, Counter[str]] = {"CPU s": Counter(), "programs": Counter()}  # by file of tests
+RUNNING = [""]
+jax.monitoring.register_event_duration_secs_listener(
+    lambda event, *_, **__: SPENT["programs"].update([RUNNING[0]] if event == COMPILED else [])
+)
 
 
 @pytest.fixture
@@ -193,18 +201,42 @@ def pytest_xdist_make_scheduler(config, log):
     return Families(config, log)
 
 
+def used_cpu():
+    """CPU time of this process and its finished children so far, s."""
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + children.ru_utime + children.ru_stime
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item):
+    """Counts CPU time and programs of a test, with the fixtures that it is the first to use, for its file."""
+    RUNNING[0], before = item.nodeid.split("::")[0], used_cpu()
+    try:
+        return (yield)
+    finally:
+        SPENT["CPU s"][RUNNING[0]] += used_cpu() - before
+
+
 def pytest_sessionfinish(session):
     gc.freeze()  # what is left goes with the process; pytest's last look through it all takes each worker five seconds
     if hasattr(session.config, "workeroutput"):
-        session.config.workeroutput["peak_memory"] = peak_memory()
+        session.config.workeroutput |= {"peak_memory": peak_memory(), "spent": {k: dict(v) for k, v in SPENT.items()}}
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node, error):
-    PEAKS[node.gateway.id] = getattr(node, "workeroutput", {}).get("peak_memory", float("nan"))
+    output = getattr(node, "workeroutput", {})
+    PEAKS[node.gateway.id] = output.get("peak_memory", float("nan"))
+    for quantity, files in output.get("spent", {}).items():
+        SPENT[quantity].update(files)
 
 
+@pytest.hookimpl(trylast=True)
 def pytest_terminal_summary(terminalreporter):
     peaks = PEAKS or {"main": peak_memory()}
     shown = ", ".join(f"{name} {peak:.1f} GB" for name, peak in sorted(peaks.items()))
     terminalreporter.write_line(f"peak memory: {shown}")
+    seconds, programs = SPENT["CPU s"], SPENT["programs"]
+    terminalreporter.write_line(f"{sum(seconds.values()):.0f} CPU s, {sum(programs.values())} programs; most of them:")
+    for file, spent in seconds.most_common(15):
+        terminalreporter.write_line(f"{spent:7.1f} CPU s {programs[file]:5} programs  {file}")

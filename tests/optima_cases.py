@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from scipy import optimize, stats
 
-from oracles.responses import Made
 from rvjax.tolerances import Middle, ReciprocalPower, Requirement, Tolerance, Variable
+from tests.oracles.responses import Made
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(120)
 FINEST, COARSEST, REFERENCE = 0.02, 3.0, 0.3

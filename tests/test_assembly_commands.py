@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from cycloidal_cases import dictionaries
 
-from oracles import cycloidal as oracle
 from rvjax import cli, compensation, plotting, study
 from rvjax.assembly import plan
 from rvjax.commands.assemble import Price, bench, prices
 from rvjax.commands.assemble.report import _others as others, price_table
 from rvjax.commands.compensate import corrections
 from rvjax.units import arcsec, um
+from tests.oracles import cycloidal as oracle
 
 STUDY = """
 [design]

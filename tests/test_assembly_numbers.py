@@ -14,8 +14,7 @@ from rvjax.assembly.belief import belief
 from rvjax.assembly.costs import Machine
 from rvjax.assembly.on_demand import OnDemand
 from rvjax.assembly.parts import known
-from rvjax.assembly.plan import draw
-from rvjax.assembly.supply import Supply, beyond
+from rvjax.assembly.supply import Supply, beyond, draw
 from rvjax.tolerances import Requirement, Tolerance
 
 

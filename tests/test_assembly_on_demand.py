@@ -13,7 +13,7 @@ from rvjax import Status
 from rvjax.assembly import Kind, Part, costs, on_demand, plan
 from rvjax.assembly.costs import Machine
 from rvjax.assembly.parts import known
-from rvjax.assembly.plan import draw
+from rvjax.assembly.supply import draw
 from rvjax.tolerances import Outcome, Requirement
 
 LIMIT = Requirement(upper=0.6)

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import pytest
 
 from benchmarks import optima
-from oracles.responses import Linear
 from rvjax.population import Population
 from rvjax.response import respond
 from rvjax.tolerances import Tolerance
+from tests.oracles.responses import Linear
 
 ROW = {
     "kind": "study", "status": "OPTIMAL", "right": "OPTIMAL", "cost": 10.0, "graded": 11.0, "optimum": 9.9,

@@ -15,7 +15,7 @@ from rvjax.commands import module
 from rvjax.commands.allocate import expected
 from rvjax.commands.forecast import forewarn
 from rvjax.commands.init.compute import written
-from rvjax.study.plausible import doubts
+from rvjax.study.doubts import doubts
 from rvjax.units import mm
 
 GOOD = (resources.files("rvjax.study") / "embedded" / "rv-40e.toml").read_text("utf-8")

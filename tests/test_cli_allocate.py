@@ -32,6 +32,9 @@ from rvjax.units import arcmin, um
 
 pytestmark = pytest.mark.usefixtures("answers")
 
+# A mid-point at nearly no cost and certificates of rare units: five times the time.
+FLAT = SMALL.replace("angles = 8", "angles = 12").replace("cost = 0.1\n", "cost = 0.01\n").replace("20_000", "8_000")
+
 
 def test_allocate_answers(answered):
     code, out = answered
@@ -63,7 +66,7 @@ def test_allocate_writes_tables_and_pictures(answered):
     moved = rows.pop(("middles moved",))
     assert float(moved["cost after"]) == pytest.approx(result["cost"]["middles"]) and moved["unit"] == ""
     middle = sum(result["tolerances"]["equidistant_modification"]["after"][end] for end in ("lower", "upper")) / 2
-    assert float(moved["cost after"]) == pytest.approx(0.01 * abs(middle) / 1e-6) and abs(middle) > 1e-6
+    assert float(moved["cost after"]) == pytest.approx(0.1 * abs(middle) / 1e-6) and abs(middle) > 1e-6
     assert [row["unit"] for row in rows.values()] == [
         {"m": "um", "rad": "arcmin"}[item["unit"]] for item in result["tolerances"].values()
     ]
@@ -150,8 +153,8 @@ def test_an_answer_is_read_in_the_unit_that_was_asked(answers, answered, here):
     found = dataclasses.replace(old, study=rvjax.study.parse_study(asked, name="x", solve=False))
     before, after = report_on(old).text(), report_on(found).text()
     assert "<= 60 arcsec" in after and "/arcsec" in after and "<= 60 arcsec" not in before
-    own = r"Influence on transmission_error:.*?bearing_clearance .*? ([\d.]+) arc"
-    slopes = [float(re.search(own, words, re.DOTALL).group(1)) for words in (before, after)]
+    own = r"Influence on transmission_error:\n.*\n-+\ncrank_eccentricity .* no slope \[rms ([\d.]+) arc"
+    slopes = [float(re.search(own, words).group(1)) for words in (before, after)]
     assert slopes[1] == pytest.approx(60 * slopes[0], abs=0.006)
 
 
@@ -228,20 +231,23 @@ def test_a_fresh_result_takes_the_place_of_the_stored_one(answers, undrawn, here
     assert cli.main([*command, "--fresh"]) == 0 and "Results: results/small-2\n" in capsys.readouterr().out
 
 
-def test_an_answer_solves_about_as_many_units_as_check_tells(answers, answered):
-    """Within a factor of two: passes and certificates are those of the searches before, this one has its own."""
-    study, allocation = answers[SMALL].study, answers[SMALL].allocation
+@pytest.mark.parametrize(("text", "factor"), [(SMALL, 4), pytest.param(FLAT, 2, marks=pytest.mark.long)])
+def test_an_answer_solves_about_as_many_units_as_check_tells(answers, text, factor):
+    """Passes and certificates are those of rv-40e, with a mid-point at no cost; the small study has its own."""
+    if text not in answers:
+        rvjax.commands.allocate.answer.answer(rvjax.study.parse_study(text, name="x"))
+    study, allocation = answers[text].study, answers[text].allocation
     counted = (allocation.graded or allocation).evaluations
     told, middles = solved_units(study), bool(study.middles)
     passes, certificates = counted["search"] / QUICK, counted["certificates"]
     certificates /= units_of(study.requirements, study.certificate_samples)
-    assert PASSES[middles] / 2 < passes < 2 * PASSES[middles]
-    assert CERTIFICATES[middles] / 2 <= certificates <= 2 * CERTIFICATES[middles]
-    assert told[SEARCHING] / 2 < counted["search"] + counted["certificates"] < 2 * told[SEARCHING]
-    assert told[CERTIFYING] == answers[SMALL].certificate_before.samples
-    fresh = [len(side.values["misfit"]) for side in (answers[SMALL].before, answers[SMALL].after)]
+    assert PASSES[middles] / factor < passes < factor * PASSES[middles]
+    assert CERTIFICATES[middles] / factor <= certificates <= factor * CERTIFICATES[middles]
+    assert told[SEARCHING] / factor < counted["search"] + counted["certificates"] < factor * told[SEARCHING]
+    assert told[CERTIFYING] == answers[text].certificate_before.samples
+    fresh = [len(side.values["misfit"]) for side in (answers[text].before, answers[text].after)]
     assert told[SAMPLING] == sum(count for count in fresh if count != study.certificate_samples)
-    assert told[PRICING] > (len(answers[SMALL].cost_curve) - 1) * study.samples
+    assert told[PRICING] > (len(answers[text].cost_curve) - 1) * study.samples
 
 
 def test_the_curve_of_costs_passes_through_the_study(answers, answered):

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from codesign_cases import CASES, LENGTH, LEVER, NEED, OPTIONS, PARTS, arguments, levered, one_start
 
-from oracles.responses import Lever, Linear
 from rvjax.tolerances import Memo, Middle, Nominal, ReciprocalPower, Requirement, Tolerance, Variable, allocate
 from rvjax.tolerances.allocation import sample
 from rvjax.tolerances.allocation.constraints import Constraints
 from rvjax.tolerances.allocation.problem import problem_of
+from tests.oracles.responses import Lever, Linear
 
 UNITS = 200_000  # of a certificate: their error of the 99.73 % quantile costs about 1 %
 

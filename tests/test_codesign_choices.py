@@ -10,7 +10,6 @@ import pytest
 from codesign_cases import COST, levered, one_start
 from scipy import optimize, stats
 
-from oracles.responses import Linear
 from rvjax import Status
 from rvjax.population import Population
 from rvjax.records import Record, field, record
@@ -29,6 +28,7 @@ from rvjax.tolerances.allocation.decisions import Decisions
 from rvjax.tolerances.allocation.lists import Lists
 from rvjax.tolerances.allocation.sample import Units
 from rvjax.units import mm, um
+from tests.oracles.responses import Linear
 
 TARGET, UNITS = 0.999, 50_000
 RARE = 2 * stats.norm.sf(3.0)  # share of the units with |c| > 3

@@ -5,10 +5,10 @@ import pytest
 from codesign_cases import CASES, LENGTH, OPTIONS, PARTS, arguments, one_start
 from codesign_random import problem
 
-from oracles.responses import Lever
 from rvjax.records import Record, record
 from rvjax.tolerances import ReciprocalPower, Requirement, Tolerance, allocate
 from rvjax.tolerances.allocation import search
+from tests.oracles.responses import Lever
 
 CERTIFICATE = 20_000
 

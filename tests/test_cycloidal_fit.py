@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from cycloidal_cases import NAMED, SAMPLES, design_of, dictionaries, drawn, errors_of, fits, fits_with_slopes, placed
 
-from oracles import cycloidal as oracle
 from rvjax import CycloidalErrors, RVErrors, Status
 from rvjax.catalogue import RV_40E
 from rvjax.loaded import clearance, unchecked
 from rvjax.loaded.cycloidal_gaps import largest_gap, lines
 from rvjax.units import um
+from tests.oracles import cycloidal as oracle
 
 TWO = design_of(NAMED["c17: fit, errors"]["design"])
 THREE = TWO.replace(cycloid=TWO.cycloid.replace(disc_count=3))

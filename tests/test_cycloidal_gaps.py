@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from cycloidal_cases import NAMED, design_of, dictionaries, drawn, errors_of
 
-from oracles import cycloidal as oracle
 from rvjax import CycloidalErrors, RVErrors, loaded
 from rvjax.loaded.cycloidal import drive_laws
 from rvjax.loaded.cycloidal_gaps import Unknowns, drive_at, drive_gaps, drive_rows
 from rvjax.loaded.kinds import check_input
 from rvjax.units import um
+from tests.oracles import cycloidal as oracle
 
 TWO = design_of(NAMED["c17: fit, errors"]["design"])
 RING = design_of(NAMED["ring13: fit, errors"]["design"])

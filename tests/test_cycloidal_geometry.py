@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from cycloidal_cases import NAMED, SAMPLES, design_of, dictionaries, fits
 
-from oracles import cycloidal as oracle
 from rvjax import CycloidalErrors, Status, catalogue, geometry
 from rvjax.geometry.figures import largest_share
 from rvjax.loaded import unchecked
 from rvjax.units import GPa, mm, um
+from tests.oracles import cycloidal as oracle
 
 TWO = design_of(NAMED["c17: figures"]["design"])
 

@@ -23,7 +23,6 @@ from cycloidal_cases import (
     solve_with_slopes,
 )
 
-from oracles import cycloidal as oracle
 from rvjax import (
     Contact,
     CycloidalErrors,
@@ -41,6 +40,7 @@ from rvjax.geometry import squared_pressure
 from rvjax.loaded import laws, unchecked
 from rvjax.loaded.kinds import prepare
 from rvjax.status import Status, succeeded
+from tests.oracles import cycloidal as oracle
 
 FAST = (
     *("c17: no", "c17: all errors, rated, hertz", "c17: crank turn", "c29: no", "c29: p", "c29: five", "ring13: all"),

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from cycloidal_cases import CASES, NAMED, dictionaries
 
-from oracles import cycloidal as oracle
 from rvjax import catalogue
+from tests.oracles import cycloidal as oracle
 
 SOLVED = [case for case in CASES if case["kind"] == "equilibrium" and len(case["expect"]) > 1]
 ARCMIN = np.pi / 180 / 60

@@ -15,7 +15,6 @@ import pytest
 from cycloidal_cases import dictionaries, placed
 from scipy import stats
 
-from oracles import cycloidal as oracle
 from rvjax import cli, levels, models, study
 from rvjax.catalogue import CYCLOIDAL_17, CYCLOIDAL_29
 from rvjax.commands import allocate, montecarlo
@@ -25,6 +24,7 @@ from rvjax.study.kinds import cycloidal, facts_of
 from rvjax.study.response import Response
 from rvjax.tolerances import Tolerance, monte_carlo
 from rvjax.units import arcmin, um
+from tests.oracles import cycloidal as oracle
 
 HEAD = '[design]\nbase = "cycloidal-17"\n'
 TAIL = """

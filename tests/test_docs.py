@@ -7,6 +7,7 @@ are held against the numbers that they show.
 import dataclasses
 import os
 import re
+import shlex
 import subprocess
 import sys
 import textwrap
@@ -19,6 +20,7 @@ import pytest
 from matplotlib.patches import Circle, PathPatch
 from matplotlib.path import Path as Outline
 
+from benchmarks import tables
 from rvjax import catalogue, cli, models, published, study
 from rvjax.commands.init.compute import written
 from rvjax.designs import RVReducer
@@ -56,6 +58,15 @@ def test_the_python_of_the_readme_runs(capsys):
     for code in blocks("../README.md", "python"):
         exec(compile(code, "README.md", "exec"), {})
     assert len(capsys.readouterr().out.splitlines()) >= 2
+
+
+def test_the_tables_are_those_of_the_code():
+    """`python -m benchmarks.tables` writes a page for every kind of reducer; the contents list all pages."""
+    assert set(tables.NAMES) == set(models.kinds())
+    kept = {path.name: path.read_text("utf-8") for path in tables.FOLDER.glob("*.md")}
+    assert kept == tables.pages()
+    contents = (DOCS / "index.md").read_text("utf-8")
+    assert all(f"\ntables/{name.removesuffix('.md')}\n" in contents for name in kept)
 
 
 def test_the_page_of_studies_names_every_part():
@@ -137,6 +148,42 @@ def test_the_commands_of_the_docs_exist(capsys):
     ):
         assert cli.main([command, "--help"]) == 0
     assert "examples:" in capsys.readouterr().out
+
+
+@pytest.mark.long
+def test_the_first_commands_of_the_readme_run(tmp_path, monkeypatch, capsys):
+    """One for each kind of user, with the studies of the pages that the table names."""
+    monkeypatch.chdir(tmp_path)
+    Path("joint.toml").write_text(blocks("friction.md", "toml")[0], "utf-8")
+    Path("bench.toml").write_text(blocks("identify_bench.md", "toml")[0], "utf-8")
+    table = (DOCS.parent / "README.md").read_text("utf-8").split("| user |")[1].split("\n\n")[0]
+    first = [re.search(r"`rvjax (.+?)`", row.split("|")[2]).group(1) for row in table.splitlines()[2:]]
+    assert [command.split()[0] for command in first] == ["init", "init", "export", "identify"]
+    for command in first:
+        assert cli.main(shlex.split(command)) == 0, command
+    assert {"mine.toml", "drive.toml", "joint.json"} <= {path.name for path in tmp_path.iterdir()}
+    assert "Measure next" in capsys.readouterr().out
+
+
+@pytest.mark.long  # compiles an allocation
+def test_the_new_model_is_allocated_in_a_new_process(tmp_path):
+    """With the script of the page; the command of rvjax itself names the kinds that it has."""
+    (start,), (text,) = blocks("add_a_model.md", "py"), blocks("add_a_model.md", "toml")
+    package = tmp_path / "key_joint" / "outputs.py"
+    package.parent.mkdir()
+    package.write_text("\n\n".join(blocks("add_a_model.md", "python")[:3]), "utf-8")
+    (tmp_path / "start.py").write_text(start, "utf-8")
+    (tmp_path / "key.toml").write_text(text, "utf-8")
+    env = os.environ | {"PYTHONPATH": str(DOCS.parent), "JAX_PLATFORMS": "cpu"}
+    for command, code, words in (
+        (["start.py", "check", "key.toml"], 0, "No warnings"),
+        (["start.py", "allocate", "key.toml", "--quiet"], 0, "Study key: OPTIMAL"),
+        (["-m", "rvjax", "check", "key.toml"], 2, "design.kind = 'key-joint': must be one of rv,"),
+    ):
+        done = subprocess.run(
+            [sys.executable, *command], cwd=tmp_path, env=env, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == code and words in done.stdout + done.stderr, done.stderr
 
 
 @pytest.mark.long

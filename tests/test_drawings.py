@@ -23,7 +23,7 @@ from rvjax.commands.design import live as design_live, prices as design_prices
 from rvjax.commands.report import live, surrogate
 from rvjax.render import Limits
 from rvjax.study import rewrite
-from rvjax.study.toleranced import FORMS, forms
+from rvjax.study.tolerances import FORMS, forms
 from rvjax.tolerances import Tolerance
 from rvjax.units import um
 
@@ -67,7 +67,7 @@ target = 0.99
 upper = "2800 MPa"
 [run]
 samples = 1024
-certificate_samples = 16000
+certificate_samples = 20000
 """
 HALF = {"disc_centre": 3.75, "pin_offset": 5.0, "disc_pitch": 9.5, "pin_radii": 1.0}  # um
 NUMBER = {"disc_centre": 15.0, "pin_offset": 20.0, "disc_pitch": 19.0}

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 import rvjax
-from oracles.dynamics import Oracle, layout
 from rvjax import MeshVariation, Status, dynamics
 from rvjax.catalogue import RV_20E, RV_320E
 from rvjax.plotting import dynamics as plotting
 from rvjax.published.rv320e_appendix import printed_stiffness
 from rvjax.units import arcsec, deg, rpm
+from tests.oracles.dynamics import Oracle, layout
 
 TORQUE = -3136.0
 LAYOUTS = [(4, 3), (5, 4), (3, 2), (2, 3), (3, 1)]

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from oracles.dynamics import Oracle, layout
 from rvjax import Damping, dynamics
 from rvjax.catalogue import RV_320E
 from rvjax.dynamics.assembly import lump
@@ -21,6 +20,7 @@ from rvjax.dynamics.error_speeds import _modes
 from rvjax.dynamics.modes import DynamicStiffness, ModalSector, matrix_root, on_resonance
 from rvjax.dynamics.symmetry import KINDS
 from rvjax.units import rpm
+from tests.oracles.dynamics import Oracle, layout
 
 TORQUE, RATED = -3136.0, 1000 * rpm
 DAMPED = RV_320E.replace(damping=Damping(0.02, 30.0, 2e-7, 0.01))

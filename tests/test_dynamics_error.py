@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
-from oracles.dynamics import Oracle
 from rvjax import Damping, MeshVariation, RVErrors, Status, dynamics
 from rvjax.catalogue import RV_320E
 from rvjax.dynamics import error_speeds
+from tests.oracles.dynamics import Oracle
 
 OUTPUTS = ("output.rotation", "sun.rotation", "transmission_error")
 SPEED, MICRON = 200.0, 1e-6

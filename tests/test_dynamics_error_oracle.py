@@ -1,7 +1,7 @@
 """Errors as excitation against a march in time, and at standstill against the loaded reducer.
 
-Oracles: `oracles.dynamic_error`, every spring with turning rows, no orders, no means, no symmetry; `rvjax.loaded`,
-another model with every pin. Teeth are few, so that a period is short.
+Oracles: `tests.oracles.dynamic_error`, every spring with turning rows, no orders, no means, no symmetry;
+`rvjax.loaded`, another model with every pin. Teeth are few, so that a period is short.
 """
 
 import jax
@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from loaded_cases import errors_of, solve
 
-from oracles.dynamic_error import Marched
 from rvjax import Contact, Damping, MeshVariation, RVErrors, dynamics
 from rvjax.catalogue import RV_320E
+from tests.oracles.dynamic_error import Marched
 
 SHOWN = ("output.rotation", "sun.rotation")
 

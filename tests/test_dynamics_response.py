@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 import rvjax
-from oracles.dynamics import Oracle, layout
 from rvjax import Damping, Status, dynamics
 from rvjax.catalogue import RV_320E
 from rvjax.dynamics.assembly import spring_table
 from rvjax.dynamics.response import METHODS
 from rvjax.dynamics.static import Torques, balancing_torque
 from rvjax.units import rpm
+from tests.oracles.dynamics import Oracle, layout
 
 TORQUE = -3136.0
 RATED = 1000 * rpm

@@ -11,13 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from oracles.dynamics import Oracle, layout
 from rvjax import Damping, Status, dynamics
 from rvjax.catalogue import RV_320E
 from rvjax.dynamics import with_deviations
 from rvjax.dynamics.response import METHODS
 from rvjax.tolerances import Outcome, Tolerance, monte_carlo
 from rvjax.units import rpm
+from tests.oracles.dynamics import Oracle, layout
 
 TORQUE, RATED = -3136.0, 1000 * rpm
 DAMPED = RV_320E.replace(damping=Damping(0.02, 30.0, 2e-7, 0.01))

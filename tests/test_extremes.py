@@ -14,8 +14,8 @@ import pytest
 from hypothesis import given, strategies as st
 
 import rvjax
-from oracles import cam_roller
 from rvjax import CamRollerErrors, LinkDeviations, RVErrors, Status, catalogue, four_bar, lost_motion
+from tests.oracles import cam_roller
 
 KEPT = (Status.CONVERGED, Status.UNLOADED, Status.CHANGE_POINT, Status.SINGULAR)
 

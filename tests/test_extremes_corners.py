@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 import rvjax
-from oracles import cam_roller
 from rvjax import LinkDeviations, RVErrors, Status, catalogue, four_bar, lost_motion, roots
 from rvjax._jax.elementary import LARGEST_ANGLE
 from rvjax.designs import CrankStage
 from rvjax.lost_motion.flank import Flank, free_rotation
 from rvjax.mesh_force import laws
+from tests.oracles import cam_roller
 
 
 def test_a_preloaded_roller_at_dead_centre_has_no_arm():

@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from oracles.linear_pair import COSTS, LIMIT, PAIR, WIDE, linear
 from rvjax._ground.files import PARTIAL, write_atomically
 from rvjax.status import Status
 from rvjax.study import StudyError
-from rvjax.study.read import EMBEDDED, parse_study
+from rvjax.study.reader import EMBEDDED, parse_study
 from rvjax.tolerances import (
     CpkAtLeast,
     MeanWithin,
@@ -29,6 +28,7 @@ from rvjax.tolerances import (
 )
 from rvjax.tolerances.batch import checkpoint
 from rvjax.units import um
+from tests.oracles.linear_pair import COSTS, LIMIT, PAIR, WIDE, linear
 
 GOOD = (EMBEDDED / "rv-40e.toml").read_text()
 ONE = {"a": Tolerance(-3.0, 3.0)}

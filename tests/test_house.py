@@ -44,28 +44,19 @@ def name_of(path):
 NAMES = {name_of(path) for path in rooms()} | {()}
 
 
-def type_only(tree):
-    """Imports below `if TYPE_CHECKING:`, which no program runs."""
-    checks = (node for node in ast.walk(tree) if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
-    return {inner for node in checks for inner in ast.walk(node)}
-
-
 @functools.cache
 def parsed(path):
     return ast.parse(path.read_text())
 
 
 @functools.cache
-def imports(path, *, types=True):
-    """Dotted names below rvjax that a file imports."""
-    return [*_imports(parsed(path), types)]
+def imports(path):
+    """Dotted names below rvjax that a file imports, for types only too."""
+    return [*_imports(parsed(path))]
 
 
-def _imports(tree, types):
-    skipped = set() if types else type_only(tree)
+def _imports(tree):
     for node in ast.walk(tree):
-        if node in skipped:
-            continue
         if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "rvjax":
             module = tuple(node.module.split(".")[1:])
             for alias in node.names:
@@ -117,7 +108,7 @@ def test_no_packages_import_each_other():
                 continue
             own = name[len(folder)]
             others = edges.setdefault(own, set())
-            for other in imports(path, types=False):
+            for other in imports(path):
                 if other[: len(folder)] == folder and len(other) > len(folder) and other[len(folder)] != own:
                     others.add(other[len(folder)])
         edges = {name: others for name, others in edges.items() if name not in PRIVATE}
@@ -125,6 +116,12 @@ def test_no_packages_import_each_other():
         if circles(edges):
             found[".".join(folder)] = circles(edges)
     assert found == {}
+
+
+def test_no_files_import_each_other():
+    """An `__init__` counts as the package: what it imports does not import from it."""
+    edges = {name_of(path): {*imports(path)} - {name_of(path)} for path in rooms()}
+    assert circles({name: others & set(edges) for name, others in edges.items()}) == []
 
 
 def test_packages_are_imported_through_their_init():
@@ -146,7 +143,7 @@ def test_the_top_level_holds_what_belongs_there():
         pytest.skip("no checkout")
     known = {".ci", ".github", ".gitignore", ".pre-commit-config.yaml", "CHANGELOG.md", "CITATION.cff"}
     known |= {"CONTRIBUTING.md", "LICENSE", "README.md", "pyproject.toml"}
-    known |= {"benchmarks", "census", "docs", "notebooks", "oracles", "rvjax", "tests"}
+    known |= {"benchmarks", "docs", "notebooks", "rvjax", "tests"}
     assert {name.split("/")[0] for name in listed.stdout.splitlines()} == known
 
 

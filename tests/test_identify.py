@@ -10,8 +10,8 @@ from scipy import optimize
 
 from rvjax import identify
 from rvjax.identify.elements import Elements
-from rvjax.identify.problem import Problem, slopes
-from rvjax.identify.shares import contributions
+from rvjax.identify.identification import Problem, slopes
+from rvjax.identify.posterior import contributions
 from rvjax.population.population import Population
 from rvjax.tolerances import Requirement, Tolerance
 from tests.identify_models import THREE, G, Noise, line, solved, unit

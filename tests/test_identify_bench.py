@@ -10,7 +10,7 @@ from rvjax.commands.identify import in_words, rounded
 from rvjax.identify.observation import Layout
 from rvjax.measured import Conditions
 from rvjax.study import bench, problem
-from rvjax.study.nuisances import nuisance
+from rvjax.study.identification import nuisance
 from rvjax.units import arcsec, um
 
 THROW = np.array([[4.0, -2.0], [1.0, 3.0]]) * um

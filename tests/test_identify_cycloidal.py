@@ -16,7 +16,7 @@ from rvjax.catalogue import CYCLOIDAL_15, CYCLOIDAL_17
 from rvjax.loaded import observation
 from rvjax.loaded.equilibrium import error_alone
 from rvjax.render import Figure
-from rvjax.study.nuisances import part_orders
+from rvjax.study.identification import part_orders
 from rvjax.units import arcsec, um
 
 STUDY = """

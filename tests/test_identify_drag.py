@@ -12,7 +12,7 @@ from rvjax.loaded import observation
 from rvjax.measured import Conditions, Loop, Measured
 from rvjax.published.rv160 import READ
 from rvjax.study import bench, problem
-from rvjax.study.nuisances import nuisance
+from rvjax.study.identification import nuisance
 from rvjax.tolerances import Tolerance
 from rvjax.units import arcsec, rpm, um
 

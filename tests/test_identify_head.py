@@ -9,7 +9,7 @@ from scipy import optimize
 from rvjax import identify
 from rvjax.commands.identify.head import CONSISTENT, head_of, one_head
 from rvjax.commands.identify.words import head_lines
-from rvjax.study.nuisances import WIDE, nuisance
+from rvjax.study.identification import WIDE, nuisance
 from rvjax.units import arcsec
 
 GAINS, PERIODS = np.array([4.0, 2.0, -1.0]), np.array([2, 1, 3])

@@ -12,7 +12,7 @@ from rvjax.measured import Conditions
 from rvjax.published.rv160 import ENCODER, NONE, READ
 from rvjax.status import at_once
 from rvjax.study import bench
-from rvjax.study.nuisances import NUISANCES, nuisance, part_orders
+from rvjax.study.identification import NUISANCES, nuisance, part_orders
 from rvjax.tolerances import Tolerance
 from rvjax.units import arcsec, um
 

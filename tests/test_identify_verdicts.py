@@ -9,7 +9,7 @@ import pytest
 
 import rvjax
 from rvjax import identify
-from rvjax.identify.laplace import pareto_shape
+from rvjax.identify.goodness_of_fit import pareto_shape
 from rvjax.identify.sampler import Draws, diagnose
 from tests.identify_models import THREE, G, Noise, line, many, solved, unit
 

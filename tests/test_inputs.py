@@ -1,8 +1,8 @@
-"""A few of the mutated studies and CSV files of `census.inputs`, which runs 500: each ends as a command should."""
+"""A few of the 500 mutated studies and CSV files of `benchmarks.census.inputs`: each ends as a command should."""
 
 import numpy as np
 
-from census import inputs
+from benchmarks.census import inputs
 
 
 def test_a_mutated_input_ends_with_one_line():

@@ -10,11 +10,11 @@ import pytest
 from cycloidal_cases import CASES, design_of, dictionaries, errors_of
 
 import rvjax
-from oracles import cycloidal as oracle
 from rvjax import Bearings, CycloidalErrors, RollerBearing, RVErrors, Status, catalogue, life, models
 from rvjax.loaded import BearingForces
 from rvjax.status import SolveInfo
 from rvjax.units import rpm
+from tests.oracles import cycloidal as oracle
 
 (CASE,) = (case for case in CASES if case["kind"] == "rating")
 ARM = RollerBearing(**CASE["design"]["bearings"]["arm"])

@@ -16,7 +16,6 @@ from life_cases import BASIC, NAMED, PLAN, duty_of, plain, rate, rate_together, 
 import rvjax
 from rvjax import Bearings, RVErrors, Status, life, loaded, study
 from rvjax.life.damage import LIFE, WEIBULL
-from rvjax.life.duty import input_angles
 from rvjax.life.machine import check_plan, reliability_factor
 from rvjax.loaded import BearingForces, admit, bearing_forces, unchecked
 from rvjax.population import Population, drawn, root_key
@@ -376,7 +375,7 @@ def test_near_angles_start_from_the_one_before():
     @jax.jit
     def both(design, errors):
         read = admit(plan.layout, *promote(design, errors), jnp.array([412.0, -200.0]), 0.0)
-        angles = input_angles(plan, read.design, read.torque.dtype)
+        angles = plan.input_angles(read.design, read.torque.dtype)
         return [bearing_forces(plan.layout, read, read.torque, angles, near=near) for near in (False, True)]
 
     cold, warm = both(DESIGN, ERRORS)

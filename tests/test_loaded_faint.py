@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from loaded_cases import NAMED, design_of, errors_of, solve
 
-from census import loaded as census
-from census.faint import BOUND, TEETH, reducers
-from oracles import loaded as oracle
+from benchmarks.census import loaded as census
+from benchmarks.census.faint import BOUND, TEETH, reducers
 from rvjax.status import Status
+from tests.oracles import loaded as oracle
 
 LAYOUT = dict(contact="palmgren", cranks=2, discs=3, teeth=8, carrier="fixed", sun="fixed")
 LANES = 64

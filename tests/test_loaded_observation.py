@@ -13,8 +13,8 @@ import pytest
 from loaded_cases import NAMED, design_of, errors_of, plain, solve
 
 from rvjax.identify.elements import mapped
-from rvjax.identify.problem import Problem
-from rvjax.identify.shares import contributions
+from rvjax.identify.identification import Problem
+from rvjax.identify.posterior import contributions
 from rvjax.loaded import observation, outputs
 from rvjax.loaded.kinds import check_input
 from rvjax.measured import Conditions

@@ -1,7 +1,7 @@
 """The loaded reducer against an independent model in 80-bit numbers, over all laws, supports and counts.
 
-Oracle: `oracles.loaded`, dense rows minimised by SciPy and polished. Tolerance: what the solver's own rule to stop
-(a gradient of 1e-13 of the largest force, or the rounding of a gap times its stiffness) moves a result by at most,
+Oracle: `tests.oracles.loaded`, dense rows minimised by SciPy and polished. Tolerance: what the solver's own rule to
+stop (a gradient of 1e-13 of the largest force, or the rounding of a gap times its stiffness) moves a result by at most,
 from the inverse Hessian of the oracle, times ten; forces besides 1e-10 of the largest, what float64 directions leave.
 """
 
@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import rvjax
-from oracles import loaded as oracle
 from rvjax import RVErrors, Status, catalogue, loaded
 from rvjax.designs import Contact
+from tests.oracles import loaded as oracle
 
 LAWS, SUPPORTS = ("hertz", "linear", "palmgren"), ("fixed", "floating")
 COUNTS = ((2, 2, 39), (3, 2, 24), (2, 1, 39), (4, 3, 11))  # cranks, discs, teeth

@@ -2,7 +2,7 @@
 
 There a journal lies loose and barely touches, and contacts open and close in turns: found among 4096 units of the study
 of a whole reducer at +-3 % of rated torque, all ended in MAX_STEPS before there was an interior point method. Oracle:
-minima certified in 80-bit numbers, `oracles.loaded`."""
+minima certified in 80-bit numbers, `tests.oracles.loaded`."""
 
 import jax
 import jax.numpy as jnp
@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from loaded_cases import NAMED, assert_same, at, errors_of, plain, solve, solve_many
 
-from oracles import loaded as oracle
 from rvjax import Status, study
 from rvjax.population.population import Population, root_key
 from rvjax.tolerances import Tolerance
 from rvjax.units import arcmin, um
+from tests.oracles import loaded as oracle
 
 QUESTION = study.load("rv-40e-whole", solve=False)
 # As that study was when these units were found: more play, and bores of random direction.

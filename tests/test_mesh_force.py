@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import rvjax
-from oracles import cam_roller
-from oracles.cam_roller import corr, solve
 from rvjax import CamRollerErrors, CamRollerReducer, Status, mesh_force
+from tests.oracles import cam_roller
+from tests.oracles.cam_roller import corr, solve
 
 CORR = rvjax.catalogue.CORR
 FORCES = ("cam", "cage", "gear")

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 import rvjax
-from oracles import cam_roller
-from oracles.cam_roller import corr, geometry, half_widths
 from rvjax import CamRollerErrors, Status, mesh_force
 from rvjax._jax.sizes import lowering
 from rvjax.mesh_force import equilibrium
 from rvjax.mesh_force.block import Solution
 from rvjax.mesh_force.geometry import Case
 from rvjax.published.corr import CALIBRATED_TORQUE as TORQUE, PUBLISHED_STUDIES
+from tests.oracles import cam_roller
+from tests.oracles.cam_roller import corr, geometry, half_widths
 
 CORR = rvjax.catalogue.CORR
 

@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from oracles import cam_roller
-from oracles.cam_roller import approach, corr, geometry, half_widths, random_units, solve
 from rvjax import Status
+from tests.oracles import cam_roller
+from tests.oracles.cam_roller import approach, corr, geometry, half_widths, random_units, solve
 
-TEETH = (2, 8, 25)  # the census of census/extremes.py draws a million, up to 200 teeth
+TEETH = (2, 8, 25)  # the census of benchmarks/census/extremes.py draws a million, up to 200 teeth
 UNITS = 3000  # of each
 
 

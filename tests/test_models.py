@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from oracles.dynamics import Oracle
 from rvjax import cli, levels, models, study
 from rvjax.catalogue import CORR, RV_20E, RV_40E, RV_320E
 from rvjax.designs import RVReducer
@@ -22,6 +21,7 @@ from rvjax.errors import RVErrors
 from rvjax.outputs import Output, Reading, condition, torque_condition, torque_of
 from rvjax.study.response import Response
 from rvjax.units import arcsec, rpm, um
+from tests.oracles.dynamics import Oracle
 
 TEXT = """
 [design]

@@ -1,4 +1,4 @@
-"""The table of mutants fits the tree, and the page shows the score of the last `python -m census.mutants`."""
+"""The table of mutants fits the tree, and the page shows the last score of `python -m benchmarks.census.mutants`."""
 
 import ast
 import functools
@@ -6,11 +6,12 @@ import itertools
 import json
 import re
 import shlex
+import shutil
 from pathlib import Path
 
 from _pytest.mark.expression import Expression
 
-from census import mutants
+from benchmarks.census import mutants
 
 ROOT = Path(__file__).parents[1]
 
@@ -89,6 +90,21 @@ def test_words_that_select_no_test_are_found():
     assert selected(f"{here} -k every_packages") == selected(f"{here} -k 'every_package and score'") == []
 
 
+def test_a_row_that_selects_no_test_fails(tmp_path, monkeypatch, capsys):
+    """Of three rows of one file that passes: the second selects nothing, the third a test that is skipped."""
+    (tmp_path / "test_x.py").write_text(
+        "import pytest\n\ndef test_one():\n    pass\n\n@pytest.mark.skip\ndef test_two():\n    pass\n"
+    )
+    rows = [mutants.Mutant("a", word, "m:f", "1", "2", f"test_x.py -k {word}") for word in ("one", "three", "two")]
+    monkeypatch.setattr(mutants, "table", lambda: rows)
+    monkeypatch.setattr(mutants, "copied", lambda folder: shutil.copy(tmp_path / "test_x.py", folder))
+    monkeypatch.setattr(mutants, "verdict", lambda folder, row: mutants.run(folder, row.tests))
+    monkeypatch.setattr(mutants, "FIRST", ["pytest"])
+    assert mutants.main([]) == 1
+    outcomes = [line.split()[:2] for line in capsys.readouterr().out.splitlines() if " s  " in line]
+    assert outcomes == [["a", "passed"], ["a", "no"], ["a", "no"]]
+
+
 def test_a_mutant_changes_its_expression_and_nothing_else(tmp_path):
     home = tmp_path / "rvjax" / "pack"
     home.mkdir(parents=True)
@@ -112,7 +128,7 @@ def test_every_package_has_its_mutants():
 
 def test_the_page_shows_the_last_score():
     """Of the mutants that the run reached; a survivor has its reason in the table."""
-    kept = json.loads((ROOT / "census" / "mutants.json").read_text("utf-8"))
+    kept = json.loads((ROOT / "benchmarks" / "census" / "mutants.json").read_text("utf-8"))
     page = (ROOT / "docs" / "stability.md").read_text("utf-8")
     of_group = [m.group for m in mutants.table()]
     assert set(kept["groups"]) <= set(of_group)

@@ -23,8 +23,8 @@ from rvjax.errors import Bound, RVErrors, deviation, read_by
 from rvjax.outputs import Observation
 from rvjax.plotting import new_axes
 from rvjax.records import IN_ERROR_UNIT, Scalar, field, record
+from rvjax.study.goals import refuse_variable
 from rvjax.study.kinds.following import Following
-from rvjax.study.variables import refuse_variable
 from rvjax.tolerances import sample
 from rvjax.tolerances.allocation import cost
 from rvjax.units import arcsec, um

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from rvjax.study.toleranced import parse_tolerance
+from rvjax.study.tolerances import parse_tolerance
 from rvjax.tolerances import Requirement, Tolerance, load, monte_carlo, rss, sample, save, worst_case
 from rvjax.units import um
 

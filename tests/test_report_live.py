@@ -191,7 +191,7 @@ upper = '1 arcmin'
         PLAY.replace("\n", "\r\n"),
         SAID_OTHERWISE,
         PLAY.replace('half_width = "3 um"', '"half_width" = "3 um"'),
-        *((study.read.EMBEDDED / f"{name}.toml").read_text("utf-8") for name in study.embedded_names()),
+        *((study.reader.EMBEDDED / f"{name}.toml").read_text("utf-8") for name in study.embedded_names()),
     ],
 )
 def test_any_way_to_say_a_study_can_be_written_again(text):

@@ -1,7 +1,7 @@
 """The page on stability: its census is that of the file, and a small one of other inputs finds the same: nothing.
 
-Oracle: census/census.json for the page; the judges of the census for the inputs, and float64 for float32 on numbers
-that float32 holds exactly. The bounds are read from the page, so that they are stated once.
+Oracle: benchmarks/census/census.json for the page; the judges of the census for the inputs, and float64 for float32 on
+numbers that float32 holds exactly. The bounds are read from the page, so that they are stated once.
 """
 
 import re
@@ -11,9 +11,9 @@ import jax
 import numpy as np
 import pytest
 
-from census import one_model, table
-from census.cases import spoiled
-from census.models import models
+from benchmarks.census import one_model, table
+from benchmarks.census.cases import spoiled
+from benchmarks.census.models import models
 from rvjax import Status
 
 ROOT = Path(__file__).parents[1]
@@ -22,7 +22,7 @@ BOUNDS = {name: float(bound) for name, bound in re.findall(r"^\| (\w+ \w+) \| (\
 
 
 def test_the_pages_show_the_census_of_the_file():
-    """All tables in census/NOTES.md, outcomes without statuses on the page."""
+    """All tables in benchmarks/census/NOTES.md, outcomes without statuses on the page."""
     file = table.stored()
     for page, due in table.pages(file).items():
         assert page.read_text().split(table.BEGIN)[1].split(table.END)[0].strip() == due.strip()

@@ -7,7 +7,7 @@ import pytest
 from rvjax import measured, models, study
 from rvjax.measured import Conditions
 from rvjax.measured.branches import branches
-from rvjax.measured.local import Samples, _parabola
+from rvjax.measured.cycle import Samples, _parabola
 from rvjax.outputs import torque_of
 from rvjax.published.rv160 import READ
 from rvjax.study import bench

@@ -16,20 +16,6 @@ import pytest
 from scale_study import bits
 from scipy import stats
 
-from oracles.linear_pair import (
-    COSTS,
-    LIMIT,
-    PAIR,
-    WIDE,
-    above,
-    closed_cost,
-    closed_form,
-    linear,
-    radius,
-    share,
-    two,
-)
-from oracles.responses import Failing, Linear
 from rvjax.population.population import Population
 from rvjax.tolerances import (
     Exponential,
@@ -42,6 +28,20 @@ from rvjax.tolerances import (
 from rvjax.tolerances.allocation import certificate
 from rvjax.tolerances.allocation.problem import problem_of
 from rvjax.units import mm, um
+from tests.oracles.linear_pair import (
+    COSTS,
+    LIMIT,
+    PAIR,
+    WIDE,
+    above,
+    closed_cost,
+    closed_form,
+    linear,
+    radius,
+    share,
+    two,
+)
+from tests.oracles.responses import Failing, Linear
 
 UNITS = 20_000  # of a certificate
 SIZES = dict(samples=4096, certificate_samples=UNITS)

@@ -14,13 +14,13 @@ import pytest
 from codesign_cases import one_start
 from scipy import stats
 
-from census import grades
-from oracles.known_optima import least, squares
-from oracles.linear_pair import above, radius
-from oracles.responses import Linear
+from benchmarks.census import grades
 from rvjax.population import GRADES
 from rvjax.tolerances import Middle, ReciprocalPower, Requirement, Tolerance, allocate, it_width
 from rvjax.units import mm, um
+from tests.oracles.known_optima import least, squares
+from tests.oracles.linear_pair import above, radius
+from tests.oracles.responses import Linear
 
 FIELDS = "abcd"
 SLOPES = {"sum": dict(a=1.0, b=1.0, c=1.0, d=1.0), "pair": dict(a=1.0, b=-1.0)}

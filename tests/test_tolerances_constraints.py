@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from oracles.responses import Made
 from rvjax.tolerances import (
     CpkAtLeast,
     MeanWithin,
@@ -27,6 +26,7 @@ from rvjax.tolerances import (
 )
 from rvjax.tolerances.allocation.constraints import Constraints
 from rvjax.tolerances.allocation.problem import problem_of
+from tests.oracles.responses import Made
 
 PARTS = {name: Tolerance.symmetric(0.3) for name in "abc"}
 COST = ReciprocalPower(reference=0.3, finest=0.02, coarsest=3.0)

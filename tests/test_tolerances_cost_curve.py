@@ -12,9 +12,6 @@ import numpy as np
 import pytest
 from codesign_cases import one_start
 
-from oracles.linear_pair import COSTS, LIMIT, PAIR, WIDE, above, closed_cost, linear, radius, share, two
-from oracles.programs import programs
-from oracles.responses import Linear, Made
 from rvjax import plotting
 from rvjax.response.gradients import pulled
 from rvjax.response.response import respond
@@ -32,6 +29,9 @@ from rvjax.tolerances import (
 )
 from rvjax.tolerances.allocation import cost as costs_module
 from rvjax.units import mm, um
+from tests.oracles.linear_pair import COSTS, LIMIT, PAIR, WIDE, above, closed_cost, linear, radius, share, two
+from tests.oracles.programs import programs
+from tests.oracles.responses import Linear, Made
 
 
 def bent(e):

@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from oracles.linear_pair import WIDE
 from rvjax.tolerances import Exponential, ReciprocalPower, Table
 from rvjax.units import um
+from tests.oracles.linear_pair import WIDE
 
 
 @pytest.mark.parametrize(

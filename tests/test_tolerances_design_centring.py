@@ -10,9 +10,9 @@ import pytest
 from codesign_cases import one_start
 from scipy import optimize, stats
 
-from oracles.linear_pair import above
-from oracles.responses import Linear
 from rvjax.tolerances import Middle, ReciprocalPower, Requirement, Tolerance, allocate
+from tests.oracles.linear_pair import above
+from tests.oracles.responses import Linear
 
 TARGET, LOWER, UPPER = 0.9973, -1.0, 2.0
 COST = ReciprocalPower(reference=1.0, finest=0.05, coarsest=20.0)

@@ -20,7 +20,7 @@ from scipy import stats
 import rvjax
 from rvjax.catalogue import RV_40E
 from rvjax.population import Population
-from rvjax.population.tolerance import GRADES
+from rvjax.population.grades import GRADES
 from rvjax.tolerances import Tolerance, for_design, it_width
 from rvjax.units import mm, um
 

@@ -15,8 +15,6 @@ import pytest
 from scipy import integrate, special, stats
 
 import rvjax
-from oracles.programs import programs
-from oracles.responses import Linear
 from rvjax.records import Record, field, record
 from rvjax.response.response import respond
 from rvjax.status import Status
@@ -26,6 +24,8 @@ from rvjax.tolerances.failure import failure, subset
 from rvjax.tolerances.failure.form import Found, slopes
 from rvjax.tolerances.failure.importance_sampling import Mixture
 from rvjax.units import um
+from tests.oracles.programs import programs
+from tests.oracles.responses import Linear
 
 UNIT = Tolerance.symmetric(3.0)  # standard normal
 THREE = {"a": UNIT, "b": UNIT, "c": UNIT}

@@ -12,11 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from oracles.responses import Linear
-from rvjax.population.distribution import DISTRIBUTIONS, Distribution
+from rvjax.population.tolerance import DISTRIBUTIONS, Distribution
 from rvjax.records import field, record
-from rvjax.study.read import _requirements
-from rvjax.study.toleranced import parse_tolerance
+from rvjax.study.goals import parse_requirements
+from rvjax.study.tolerances import parse_tolerance
 from rvjax.tolerances import (
     ReciprocalPower,
     Requirement,
@@ -32,6 +31,7 @@ from rvjax.tolerances import (
 from rvjax.tolerances.requirements.kinds import CpkAtLeast, MeanWithin
 from rvjax.tolerances.requirements.limits import KINDS, Limits, Pull
 from rvjax.units import um
+from tests.oracles.responses import Linear
 
 
 @record
@@ -130,13 +130,13 @@ def test_a_kind_of_requirement_has_one_place():
     assert best.status == "OPTIMAL" and a / b == pytest.approx(4 ** (1 / 3), rel=0.04)
     assert math.hypot(a, 2 * b) == pytest.approx(1.5, rel=0.02)
     outputs = {"te": type("Output", (), {"unit": "rad"})}
-    read = _requirements(outputs, {"te": dict(upper="1 arcmin", sd=0.1)})[0]["te"]
+    read = parse_requirements({"te": dict(upper="1 arcmin", sd=0.1)}, outputs)[0]["te"]
     assert isinstance(read, SdBelow) and read.sd == 0.1
 
 
 def test_study_files_know_every_kind():
     outputs = {"te": type("Output", (), {"unit": "rad"})}
-    one = lambda **entry: _requirements(outputs, {"te": entry})[0]["te"]  # noqa: E731
+    one = lambda **entry: parse_requirements({"te": entry}, outputs)[0]["te"]  # noqa: E731
     assert one(upper="1 rad") == Requirement(upper=1.0, target=0.9973)
     assert one(upper="1 rad", cpk=1.5) == CpkAtLeast(upper=1.0, cpk=1.5)
     assert one(mean_lower="-1 rad", mean_upper="2 rad") == MeanWithin(lower=-1.0, upper=2.0)

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from oracles.responses import Linear
 from rvjax.tolerances import Middle, Nominal, QuadraticLoss, ReciprocalPower, Requirement, Tolerance, allocate, minimise
 from rvjax.units import um
+from tests.oracles.responses import Linear
 
 A, C = {"u": 1.0, "v": 2.0, "w": 0.5}, {"u": 1.0, "v": 0.3, "w": 2.0}
 LOSS = QuadraticLoss(2.0, 5 * um)

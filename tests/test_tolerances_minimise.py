@@ -14,10 +14,10 @@ import optax
 import pytest
 
 import rvjax
-from oracles.responses import Failing, Linear
 from rvjax.status import Status
 from rvjax.tolerances import QuadraticLoss, ReciprocalPower, Tolerance, load, minimise, sample, save
 from rvjax.units import um
+from tests.oracles.responses import Failing, Linear
 
 A, C = np.array([1.0, 2.0, 0.5]), np.array([1.0, 0.3, 2.0])
 LOSS = QuadraticLoss(2.0, 5 * um)

@@ -15,11 +15,11 @@ import pytest
 from scipy import stats
 
 import rvjax
-from oracles.responses import Linear
 from rvjax.population.population import Population
 from rvjax.tolerances import Requirement, Tolerance, for_design, monte_carlo, rss, sample, worst_case
 from rvjax.tolerances.worst_case import extremes
 from rvjax.units import um
+from tests.oracles.responses import Linear
 
 LIMITS = Requirement(lower=-30 * um, upper=30 * um)
 

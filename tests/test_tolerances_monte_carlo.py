@@ -14,9 +14,6 @@ import pytest
 from scipy import optimize, stats
 
 import rvjax
-from oracles.known_optima import many_fields
-from oracles.programs import programs
-from oracles.responses import Linear
 from rvjax.population import Population, root_key
 from rvjax.population.estimates import wilson
 from rvjax.response import BLOCK, numbers_of
@@ -24,6 +21,9 @@ from rvjax.response.response import respond
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, Requirement, Tolerance, for_design, monte_carlo, sample
 from rvjax.units import mm, um
+from tests.oracles.known_optima import many_fields
+from tests.oracles.programs import programs
+from tests.oracles.responses import Linear
 
 STACK = dict(a=Tolerance.symmetric(12 * um), b=Tolerance.symmetric(9 * um), c=Tolerance.symmetric(6 * um))
 LIMITS = Requirement(lower=-30 * um, upper=30 * um)

@@ -13,9 +13,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from oracles.known_optima import CASES, THREE_SIGMA, many_fields, pin_hinge, shaft_and_housing
-from oracles.linear_pair import COSTS, LIMIT, PAIR, above, closed_cost, linear, share
-from oracles.responses import Failing, Linear
 from rvjax.population.population import Population
 from rvjax.tolerances import (
     CpkAtLeast,
@@ -28,6 +25,9 @@ from rvjax.tolerances import (
 )
 from rvjax.tolerances.worst_case import extremes
 from rvjax.units import um
+from tests.oracles.known_optima import CASES, THREE_SIGMA, many_fields, pin_hinge, shaft_and_housing
+from tests.oracles.linear_pair import COSTS, LIMIT, PAIR, above, closed_cost, linear, share
+from tests.oracles.responses import Failing, Linear
 
 EDGE = 15 * um  # units with a larger b fail
 UNITS = 20_000  # of a certificate

@@ -14,8 +14,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from oracles.linear_pair import COSTS, PAIR, linear
-from oracles.responses import Failing, Linear
 from rvjax.population import Estimate, score_interval
 from rvjax.population.sample_statistics import CentralMoments, Sampled
 from rvjax.tolerances import (
@@ -32,6 +30,8 @@ from rvjax.tolerances import (
     rss,
 )
 from rvjax.units import um
+from tests.oracles.linear_pair import COSTS, PAIR, linear
+from tests.oracles.responses import Failing, Linear
 
 LIMIT = 30 * um
 CPK = CpkAtLeast(cpk=1.33, lower=-LIMIT, upper=LIMIT)

@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from oracles.programs import programs
 from rvjax._jax.programs import QUICK, understood
 from rvjax.population.population import Population, drawn, root_key
 from rvjax.records import Record, count, field, record
@@ -32,6 +31,7 @@ from rvjax.tolerances import (
     worst_case,
 )
 from rvjax.tolerances.batch.checkpoint import response_hash
+from tests.oracles.programs import programs
 
 PAIR = {"a": Tolerance(-1.0, 1.0), "b": Tolerance(-1.0, 2.0)}
 POPULATION = Population.of(PAIR)

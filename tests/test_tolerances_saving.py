@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 import rvjax
-from oracles.responses import Linear
 from rvjax import RVErrors
 from rvjax.tolerances import (
     Outcome,
@@ -31,6 +30,7 @@ from rvjax.tolerances import (
     worst_case,
 )
 from rvjax.units import um
+from tests.oracles.responses import Linear
 
 STACK = {name: Tolerance.symmetric(size) for name, size in dict(a=3.0, b=2.0, c=1.0).items()}
 STUDY = dict(samples=500, seed=3, requirements={"y": Requirement(upper=3.0)})

@@ -14,7 +14,6 @@ from optima_cases import CASES
 from scipy import stats
 
 from benchmarks import optima_problems
-from oracles.linear_pair import COSTS, LIMIT, PAIR, closed_cost, linear, share, two
 from rvjax.population import Estimate
 from rvjax.response import Part
 from rvjax.tolerances import Memo, Requirement, allocate
@@ -22,6 +21,7 @@ from rvjax.tolerances.allocation import search
 from rvjax.tolerances.allocation.certificate import Certifier
 from rvjax.tolerances.allocation.constraints import Constraints
 from rvjax.tolerances.batch.run import Run
+from tests.oracles.linear_pair import COSTS, LIMIT, PAIR, closed_cost, linear, share, two
 
 LINE = CASES["line"]
 
@@ -64,7 +64,7 @@ def test_certificates_are_of_one_sample_that_no_search_has_seen(monkeypatch):
 
 def test_after_a_miss_the_wanted_rejects_are_those_of_the_result(monkeypatch):
     """Grades and prices go on from them; a looser vector is tried, and misses."""
-    seen, ends, test, certified = [], [], Certifier.test, search.Search._certified
+    seen, ends, test, certified = [], [], Certifier.test, search.Search.certified
 
     def tested(self, constraints, x):
         seen.append((x, constraints.rejects))
@@ -78,7 +78,7 @@ def test_after_a_miss_the_wanted_rejects_are_those_of_the_result(monkeypatch):
     monkeypatch.setattr(Certifier, "holds", lambda self, statistics: len(seen) == 1)
     looser = lambda self, constraints, *_: (1.2 * constraints.rejects, constraints.moved)  # noqa: E731
     monkeypatch.setattr(Certifier, "corrected", looser)
-    monkeypatch.setattr(search.Search, "_certified", end)
+    monkeypatch.setattr(search.Search, "certified", end)
     solved()
     (constraints, _, best), (x, rejects) = ends[0], seen[0]
     assert len(seen) > 1 and (best.look.x == x).all()

@@ -13,14 +13,14 @@ import pytest
 from codesign_cases import one_start
 from test_tolerances_constraints import X, constraints
 
-from oracles.linear_pair import COSTS, LIMIT, PAIR, closed_cost, linear, share
-from oracles.responses import Lever
 from rvjax.tolerances import Middle, Nominal, QuadraticLoss, ReciprocalPower, Requirement, Tolerance, Variable, allocate
 from rvjax.tolerances.allocation import programme
 from rvjax.tolerances.allocation.certificate import Certifier
 from rvjax.tolerances.allocation.programme import STATIONARY
 from rvjax.tolerances.allocation.search import Search
 from rvjax.units import um
+from tests.oracles.linear_pair import COSTS, LIMIT, PAIR, closed_cost, linear, share
+from tests.oracles.responses import Lever
 
 UNITS = 20_000
 FEW = dict(costs=COSTS, samples=4096, certificate_samples=UNITS)
@@ -45,7 +45,7 @@ def test_optimal_needs_every_part_of_the_promise():
         search.constraints.rows = [share, statistic] if mean else [share]
         look = SimpleNamespace(cost=1.0, priced=0.21 if dear else 0.19)
         end = SimpleNamespace(look=None, settled=settled, residual=0.5, certain=0.9 * STATIONARY if near else 0.11)
-        status, good = Search._status(search, None, end, 1.0, look), certified and exact
+        status, good = Search.status(search, None, end, 1.0, look), certified and exact
         assert (status == "NOT_CERTIFIED") == (not good)
         assert (status == "SUBOPTIMAL") == (good and dear)
         assert (status == "OPTIMAL") == (good and not dear and settled and (near or (rays and not loss and not mean)))

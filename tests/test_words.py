@@ -20,7 +20,7 @@ ALLOWED = re.compile(ALLOWED, re.IGNORECASE)
 CODE = re.compile(r"```.*?```|<!--.*?-->|`[^`]*`|\]\([^)]*\)|\$[^$]*\$|<[^>]*>|--[a-z-]+", re.DOTALL)
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "notebooks" / "README.md"]
-PAGES += [ROOT / "benchmarks" / "NOTES.md", ROOT / "census" / "NOTES.md"]
+PAGES += [ROOT / "benchmarks" / "NOTES.md", ROOT / "benchmarks" / "census" / "NOTES.md"]
 PAGES += (ROOT / "docs").rglob("*.md")
 PAGES = sorted(page for page in PAGES if not {"_build", "_made"} & set(page.parts))
 
@@ -76,7 +76,16 @@ def test_a_page_has_short_sentences(page):
     assert long_sentences(page.read_text("utf-8")) == []
 
 
-PLAIN = ["rvjax", "oracles", "benchmarks", "census", "docs"]
+BLOCK = re.compile(r"^ *(```|:::).*?^ *\1$|<!--.*?-->|^( {4}|\|).*?$", re.DOTALL | re.MULTILINE)
+
+
+def test_the_docs_are_short():
+    """Words of all pages, without blocks of code, equations, tables and comments."""
+    texts = [BLOCK.sub("", page.read_text("utf-8")) for page in PAGES if ROOT / "docs" in page.parents]
+    assert 10_000 < sum(len(text.split()) for text in texts) <= 20_000
+
+
+PLAIN = ["rvjax", "tests/oracles", "benchmarks", "docs"]
 """Folders whose comments, docstrings and messages use the terms of the field."""
 NAMES = re.compile(r"^\s+\w+: |\b[A-Z][A-Z_]+\b|\{[^{}]*\}|^[rf]*['\"][\w.]*(?: \| \w+)*['\"]$", re.MULTILINE)
 """Arguments, constants, expressions, keys."""
@@ -117,7 +126,7 @@ def test_comments_and_values_of_tables_use_terms_of_the_field(name):
 
 
 def test_the_table_of_mutants_uses_terms_of_the_field():
-    lines = (ROOT / "census" / "mutants.toml").read_text("utf-8").splitlines()
+    lines = (ROOT / "benchmarks" / "census" / "mutants.toml").read_text("utf-8").splitlines()
     assert private_words("\n".join(line for line in lines if line.startswith(("breaks = ", "#")))) == []
 
 

@@ -6,8 +6,8 @@ A new error is one field, declared with `deviation`; a new kind of reducer is on
 import contextlib
 import dataclasses
 import warnings
-from collections.abc import Callable, Iterator
-from functools import lru_cache
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import lru_cache, partial
 from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 import jax
@@ -80,6 +80,24 @@ def deviation(
     about: dict[str, Any] = dict(read_by=read_by, vector=vector, placed=placed, bounds=bounds, carried_by=carried_by)
     about |= dict(mirrored=mirrored, breaks_pitch=breaks_pitch, series=series)
     return field(unit, meaning, shape=shape, default=0.0, sign=sign, of=of, part=part, **about)
+
+
+length = partial(deviation, "m")
+"""An error in m."""
+placed = partial(deviation, "m", placed=True)
+"""An error in m that has a place."""
+
+
+def share(more: str, part: str, read_by: tuple[str, ...] = (), *, of: str = "") -> Any:
+    """Declare a relative error.
+
+    Args:
+        more: what becomes larger by it.
+        part: as in `deviation`.
+        read_by: as in `deviation`.
+        of: as in `deviation`.
+    """
+    return deviation("-", f"share by which {more}", part, read_by, of=of)
 
 
 def described(errors: PyTree, key: str) -> dict[str, PyTree]:
@@ -173,6 +191,16 @@ class Errors(Record):
             )
         full = broadcast_fields(cls, design.counts, errors)
         return cls(**full | {name: 0.0 for name in described(cls, "placed") if name not in errors})
+
+    def bounded(self, names: Iterable[str]) -> Self:
+        """The same errors with some bounds without a place as what they bound: of one unit, one home.
+
+        Args:
+            names: errors with `bounds`, such as `disc_runout`: twice the largest length of a `disc_centre`.
+        """
+        bounds: Mapping[str, Bound] = described(self, "bounds")
+        own = {name: bounds[name] for name in names}
+        return self.replace(**{n: bound.size(jnp.asarray(getattr(self, bound.placed))) for n, bound in own.items()})
 
     def stiffened(self, design: Sprung) -> Sprung:
         """The design with the stiffness of this unit, for the models that read it."""

@@ -8,7 +8,8 @@ from rvjax.assembly.costs import Machine as Machine, UnitResponse as UnitRespons
 from rvjax.assembly.opening import Opening, opening
 from rvjax.assembly.outliers import Outlier, UnusualPart, outliers
 from rvjax.assembly.parts import Kind, Part, known as known
-from rvjax.assembly.plan import OBJECTIVES as OBJECTIVES, Plan, draw as draw, plan, supply_of as supply_of
+from rvjax.assembly.plan import OBJECTIVES as OBJECTIVES, Plan, plan
+from rvjax.assembly.supply import draw as draw, supply_of as supply_of
 
 __all__ = [
     "Kind",

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import special
 
 from rvjax._jax.checks import checked, numbers
-from rvjax.records import PyTree, Scalar
+from rvjax.records import Scalar
 from rvjax.tolerances import Tolerance
 
 NODES = 129
@@ -53,12 +53,12 @@ class Belief:
         draws = z.shape[1]
         share = special.ndtr(np.broadcast_to(z, (len(self.mean), *z.shape[1:])))
         by_element = np.moveaxis(share, 1, 0).reshape(draws, -1)
-        found = [np.interp(by_element[:, k], self.below[:, k], self.value[:, k]) for k in range(by_element.shape[1])]
-        return np.moveaxis(np.stack(found, axis=1).reshape(draws, *self.mean.shape), 0, 1)
+        columns = [np.interp(by_element[:, k], self.below[:, k], self.value[:, k]) for k in range(by_element.shape[1])]
+        return np.moveaxis(np.stack(columns, axis=1).reshape(draws, *self.mean.shape), 0, 1)
 
 
 @checked
-def believed(value: object, sd: PyTree, tolerance: Tolerance | None) -> tuple[Scalar, Scalar]:
+def believed(value: object, sd: object, tolerance: Tolerance | None) -> tuple[Scalar, Scalar]:
     """Mean and standard deviation of an error that was measured.
 
     Of a normal population N(mu, s0^2) measured with s: g = s0^2/(s0^2 + s^2), mean mu + g (value - mu), sd
@@ -80,8 +80,8 @@ def believed(value: object, sd: PyTree, tolerance: Tolerance | None) -> tuple[Sc
         raise ValueError(f"value = {value!r}: must be finite")
     if not (sds >= 0).all():
         raise ValueError(f"sd = {sd!r}: must be zero or positive")
-    found = belief(values[None], np.broadcast_to(sds, values.shape)[None], tolerance)
-    mean, spread = found.mean[0], found.sd[0]
+    posterior = belief(values[None], np.broadcast_to(sds, values.shape)[None], tolerance)
+    mean, spread = posterior.mean[0], posterior.sd[0]
     return (mean, spread) if values.ndim else (float(mean), float(spread))
 
 

@@ -15,6 +15,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from rvjax.assembly.alternation import alternate, lagrangian, stopped
+from rvjax.assembly.costs import Costs
 from rvjax.assembly.supply import Build, Supply, assigned, copies
 
 EXACT = 20_000
@@ -73,8 +74,8 @@ def least_sum(
         return Choice(build, _sum(layers[asked], build), True)
     allowed = supply.allowed()
     with contextlib.suppress(_TooLong):
-        if (found := _prove(layers, supply, allowed, exact_up_to)) is not None:
-            return Choice(found, _sum(layers[asked], found), True)
+        if (proved := _prove(layers, supply, allowed, exact_up_to)) is not None:
+            return Choice(proved, _sum(layers[asked], proved), True)
     build = alternate(np.where(allowed, cost, np.inf), supply, starts, rng)
     reached = _sum(layers[asked], build)
     bound = lagrangian(layers[asked], supply, reached)
@@ -215,20 +216,61 @@ def _prove(layers: Sequence[np.ndarray], supply: Supply, allowed: np.ndarray, ex
         if number < len(layers) - 1 and not span:
             continue
         scaled = (cost - cost.min()) / (span if span else 1.0)
-        found = milp(
+        solution = milp(
             SCALE * scaled,
             constraints=limits,
             integrality=np.ones(len(combos)),
             bounds=Bounds(0, most),
             options={"mip_rel_gap": 0.0, "time_limit": PATIENCE},
         )
-        if found.status == 2:
+        if solution.status == 2:
             return None
-        if found.status != 0:
+        if solution.status != 0:
             raise _TooLong
-        counts = np.round(found.x).astype(int)
+        counts = np.round(solution.x).astype(int)
         steps = np.diff(np.unique(scaled)).min(initial=1.0)
         limits.append(LinearConstraint(scaled[None], ub=float(scaled @ counts) + 0.25 * steps))
     if counts is None:
         return None
     return [tuple(map(int, combos[k])) for k in np.flatnonzero(counts) for _ in range(counts[k])]
+
+
+def chosen(
+    priced: Costs,
+    supply: Supply,
+    objective: str,
+    starts: int,
+    rng: np.random.Generator,
+    exact_up_to: int = EXACT,
+) -> tuple[Build, float, float, bool]:
+    """Build, bound and objective on the draws that chose (inf if it fails), and whether it is proved."""
+    kept, fewer = supply.lean()
+    single = [slot for slot in range(len(supply.shape)) if slot not in kept]
+    if single:  # what is the same in every unit is no choice, and two slots are exact
+        lean = dataclasses.replace(
+            priced,
+            mean=priced.mean.squeeze(tuple(single)),
+            outside=None if priced.outside is None else priced.outside.squeeze(tuple(single)),
+        )
+        build, bound, reached, proved = chosen(lean, fewer, objective, starts, rng, exact_up_to)
+        full = [tuple(dict(zip(kept, unit)).get(k, 0) for k in range(len(supply.shape))) for unit in build]
+        return full, bound, reached, proved
+    failing = ~np.isfinite(priced.mean)
+    finite = priced.mean[~failing]
+    mean = np.where(failing, finite.max(initial=0.0), priced.mean)
+    units = supply.units
+    if failing.any():
+        fewest = least_sum([failing, mean], supply, starts, rng, asked=0, exact_up_to=exact_up_to)
+        if any(failing[unit] for unit in fewest.build):
+            return fewest.build, np.inf, np.inf, fewest.exact
+    if objective == "bottleneck":
+        worst = np.where(failing, finite.max() + 1 + np.ptp(finite), priced.mean)
+        choice = least_largest(worst, supply, starts, rng, exact_up_to=exact_up_to)
+        return choice.build, choice.bound, max(priced.mean[unit] for unit in choice.build), choice.exact
+    if objective == "yield":
+        assert priced.outside is not None
+        choice = least_sum([failing, priced.outside, mean], supply, starts, rng, asked=1, exact_up_to=exact_up_to)
+        share = 1 - sum(priced.outside[unit] for unit in choice.build) / units
+        return choice.build, 1 - max(choice.bound, 0.0) / units, share, choice.exact
+    choice = least_sum([failing, mean], supply, starts, rng, exact_up_to=exact_up_to)
+    return choice.build, choice.bound / units, sum(mean[unit] for unit in choice.build) / units, choice.exact

@@ -142,19 +142,19 @@ class Machine:
             return run(tuple(0 for _ in self.counts))
         if self._traced is not False:
             try:
-                found = run(None)
+                values = run(None)
             except TypeError:  # an index that has to be a plain integer: one program for each
                 if self._traced:
                     raise
                 self._traced = False
             else:
                 self._traced = True
-                return found
-        found = np.empty(len(index))
+                return values
+        values = np.empty(len(index))
         for at in np.unique(index, axis=0):
             here = (index == at).all(axis=1)
-            found[here] = run(tuple(at.tolist()))[here]
-        return found
+            values[here] = run(tuple(at.tolist()))[here]
+        return values
 
 
 @dataclasses.dataclass(frozen=True)

@@ -92,10 +92,10 @@ def screen(
     errors = [estimate(cells[check]) - best[check] for estimate in estimates]
     chosen = int(np.argmin([np.mean(error**2) for error in errors]))
     parts = np.split(np.arange(total), range(COMBINATIONS, total, COMBINATIONS))
-    found = np.concatenate([estimates[chosen](part) for part in parts])
+    estimated = np.concatenate([estimates[chosen](part) for part in parts])
     error = errors[chosen]
     farthest = error.mean() + error.std() * math.sqrt(2 * math.log(total))  # of so many normal errors
-    return Screen(found, float(max(error.max(), farthest, 0.0)), int(check.sum()))
+    return Screen(estimated, float(max(error.max(), farthest, 0.0)), int(check.sum()))
 
 
 def _distinct(mean: np.ndarray) -> np.ndarray:
@@ -110,19 +110,21 @@ def _distinct(mean: np.ndarray) -> np.ndarray:
 def _line(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Intercept and slope of least squares."""
     right = np.isfinite(x)
-    found: np.ndarray = np.linalg.lstsq(np.stack([np.ones(right.sum()), x[right]], axis=1), y[right], rcond=None)[0]
-    return found
+    coefficients: np.ndarray = np.linalg.lstsq(
+        np.stack([np.ones(right.sum()), x[right]], axis=1), y[right], rcond=None
+    )[0]
+    return coefficients
 
 
 def _numbers(drawn: Mapping[str, list[np.ndarray]]) -> list[np.ndarray]:
     """Numbers of each part that differ between the parts of a slot, in their standard deviations (parts, k)."""
-    found = []
+    columns = []
     for leaves in drawn.values():
         rows = np.concatenate([leaf.mean(axis=1).reshape(len(leaf), -1) for leaf in leaves], axis=1)
         spread = rows.std(axis=0)
         differs = spread > 1e-12 * np.abs(rows).max(axis=0, initial=0.0)
-        found.append((rows[:, differs] - rows[:, differs].mean(axis=0)) / spread[differs])
-    return found
+        columns.append((rows[:, differs] - rows[:, differs].mean(axis=0)) / spread[differs])
+    return columns
 
 
 def _features(x: np.ndarray) -> np.ndarray:
@@ -146,10 +148,10 @@ def _regressions(
 
     known = rows(cells)
     plain, square = (np.linalg.lstsq(known, y, rcond=None)[0] for y in (mean, mean**2))
-    found: list[Estimate] = [lambda cells: (rows(cells) @ plain).min(axis=1)]
+    estimates: list[Estimate] = [lambda cells: (rows(cells) @ plain).min(axis=1)]
     if (mean > 0).all():
-        found.append(lambda cells: np.sqrt(np.maximum(rows(cells) @ square, 0.0)).min(axis=1))
-    return found
+        estimates.append(lambda cells: np.sqrt(np.maximum(rows(cells) @ square, 0.0)).min(axis=1))
+    return estimates
 
 
 MOST_VALUED = 2**26
@@ -208,10 +210,10 @@ class OnDemand:
             self.margin = 0.0
             return
         order = rng.permutation(count)
-        found: Screen = screen(self.machine, self._drawn, self.draws, most, pilots[order], mean[order])
-        self.mean = np.where(self.known, self.mean, found.mean)
-        self._outside = np.where(self.known, self._outside, 1.0 - good(found.mean, self._requirement))
-        self.margin, self.checks = found.margin, found.checks
+        screened: Screen = screen(self.machine, self._drawn, self.draws, most, pilots[order], mean[order])
+        self.mean = np.where(self.known, self.mean, screened.mean)
+        self._outside = np.where(self.known, self._outside, 1.0 - good(screened.mean, self._requirement))
+        self.margin, self.checks = screened.margin, screened.checks
 
     def _value(self, cells: np.ndarray) -> np.ndarray:
         """Value combinations exactly: their expected response in every position (cells, positions)."""
@@ -257,7 +259,7 @@ class OnDemand:
 
 
 def chosen_on_demand(
-    found: OnDemand, supply: Supply, objective: str, starts: int, rng: np.random.Generator, most: int
+    priced: OnDemand, supply: Supply, objective: str, starts: int, rng: np.random.Generator, most: int
 ) -> tuple[Build, float, float, bool]:
     """Build, bound, objective on the draws that chose (inf if it fails), and False: nothing is proved.
 
@@ -265,19 +267,19 @@ def chosen_on_demand(
     less their margin; for "yield" it is 1.
 
     Args:
-        found: combinations, valued on demand.
+        priced: combinations, valued on demand.
         supply: stocks.
         objective: of `plan`.
         starts: random plans from which the alternation begins.
         rng: of these.
         most: responses that are too many.
     """
-    found.begin(supply, rng, most // SHARE)
-    size = np.abs(found.mean[np.isfinite(found.mean)]).max(initial=0.0) or 1.0
-    step = 4 * size * supply.units * found.draws  # more than any sum of responses
+    priced.begin(supply, rng, most // SHARE)
+    size = np.abs(priced.mean[np.isfinite(priced.mean)]).max(initial=0.0) or 1.0
+    step = 4 * size * supply.units * priced.draws  # more than any sum of responses
 
     def price(at: tuple[np.ndarray, ...], forbidden: float = np.inf) -> np.ndarray:
-        mean, outside = found.led(at)
+        mean, outside = priced.led(at)
         failed = ~np.isfinite(mean)
         cost = np.where(failed, size, mean)
         if objective == "yield":
@@ -285,7 +287,7 @@ def chosen_on_demand(
         return cost + step * supply.units * (1e3 * failed + (mean >= forbidden))
 
     def worst(build: Build) -> float:
-        return float(found.led(tuple(np.array(build).T))[0].max())
+        return float(priced.led(tuple(np.array(build).T))[0].max())
 
     def planned(begin: Build | None) -> Build:
         build = alternated_by(price, supply, starts if begin is None else 1, rng, begin)
@@ -304,31 +306,33 @@ def chosen_on_demand(
     best = build = planned(None)
     for number in range(ROUNDS):
         at = tuple(np.array(build).T)
-        done = bool(found.known[found.cells(at)].all())
+        done = bool(priced.known[priced.cells(at)].all())
         with keeps_best():
-            found.look(at)
+            priced.look(at)
         if number == 0 or total(build) < total(best):
             best = build
         if done or stopped():
             break
-        detail(f"plan {number + 1}: {found.count} combinations evaluated")
+        detail(f"plan {number + 1}: {priced.count} combinations evaluated")
         build = planned(best)
-        if total(best)[0] - total(build)[0] < WORTH * found.margin * (1 if objective == "bottleneck" else supply.units):
+        if total(best)[0] - total(build)[0] < WORTH * priced.margin * (
+            1 if objective == "bottleneck" else supply.units
+        ):
             break
-    mean, outside, _ = found.look(tuple(np.array(best).T))
+    mean, outside, _ = priced.look(tuple(np.array(best).T))
     if not np.isfinite(mean).all():
         return best, np.inf, np.inf, False
     if objective == "yield":
         return best, 1.0, 1 - outside.mean(), False
     reached = float(mean.max() if objective == "bottleneck" else mean.mean())
-    return best, _bound(found, supply, objective, rng), reached, False
+    return best, _bound(priced, supply, objective, rng), reached, False
 
 
-def _bound(found: OnDemand, supply: Supply, objective: str, rng: np.random.Generator) -> float:
+def _bound(priced: OnDemand, supply: Supply, objective: str, rng: np.random.Generator) -> float:
     """Lower bound of the objective of any plan, if no estimate exceeds its exact value by more than the margin."""
-    if stopped() or not np.isfinite(found.margin):
+    if stopped() or not np.isfinite(priced.margin):
         return -np.inf
-    lower = np.where(found.known, found.mean, found.mean - found.margin)
+    lower = np.where(priced.known, priced.mean, priced.mean - priced.margin)
     finite = np.isfinite(lower)
     cost = np.where(finite, lower, lower[finite].max(initial=0.0)).reshape(supply.shape)
     kept, fewer = supply.lean()

@@ -8,9 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.checks import checked
+from rvjax.assembly.choice import chosen
 from rvjax.assembly.costs import Machine, UnitResponse, costs, good
 from rvjax.assembly.parts import Kind, Part, at_path, known
-from rvjax.assembly.plan import chosen, draw, supply_of
+from rvjax.assembly.supply import draw, supply_of
 from rvjax.records import PyTree
 from rvjax.roots import bisect
 from rvjax.tolerances import Requirement, Tolerance
@@ -36,7 +37,7 @@ class Opening:
     curve: np.ndarray
     target: float
 
-    def opened(self, tolerances: PyTree) -> PyTree:
+    def opened(self, tolerances: object) -> PyTree:
         """Return the same structure with every half-width times the factor, as `allocate` takes it."""
         return _widen(tolerances, self.factor)
 
@@ -86,8 +87,8 @@ def opening(
     def kept(power: float | np.ndarray) -> bool:
         """Return whether plans keep the yield at this power of two as factor."""
         factor = 2.0 ** float(power)
-        found = [_yields(response, kinds, stocks, requirement, factor, number, seed) for number in range(sets)]
-        matched, random = np.mean(found, axis=0)
+        yields = [_yields(response, kinds, stocks, requirement, factor, number, seed) for number in range(sets)]
+        matched, random = np.mean(yields, axis=0)
         tried[factor] = (float(matched), float(random))
         return tried[factor][0] >= tried[1.0][1]
 
@@ -103,16 +104,16 @@ def opening(
 class _Virtual:
     """Virtual parts of one stock: the random numbers are sampled once."""
 
-    def __init__(self, kind: Kind, tolerances: PyTree, sets: int, seed: int, number: int) -> None:
+    def __init__(self, kind: Kind, tolerances: object, sets: int, seed: int, number: int) -> None:
         self.kind, self.tolerances = kind, getattr(tolerances, "tolerances", tolerances)
         self.structure: PyTree
         leaves, self.structure = jax.tree_util.tree_flatten_with_path(kind.parts[0].errors)
         self.given = [[np.asarray(leaf) for leaf in jax.tree.leaves(part.errors)] for part in kind.parts]
         self.sd = [[np.asarray(at_path(part.sd, path, 0.0), float) for path, _ in leaves] for part in kind.parts]
         self.moving = {
-            place: found.replace(shape=self.given[0][place].shape)
+            place: tolerance.replace(shape=self.given[0][place].shape)
             for place, (path, _) in enumerate(leaves)
-            if isinstance(found := at_path(self.tolerances, path, None), Tolerance)
+            if isinstance(tolerance := at_path(self.tolerances, path, None), Tolerance)
         }
         rng = np.random.default_rng([seed % 2**64, 4, number])
         size: Callable[[int], tuple[int, ...]] = lambda place: (sets, 2, *self.given[0][place].shape, len(kind.parts))  # noqa: E731
@@ -138,7 +139,7 @@ def _drawn(tolerance: Tolerance, z: jax.Array) -> jax.Array:
     return tolerance.deviate(z)
 
 
-def _widen(tolerances: PyTree, factor: float) -> PyTree:
+def _widen(tolerances: object, factor: float) -> PyTree:
     """Multiply the half-width of all tolerances of a structure by a factor."""
 
     def wider(leaf: object) -> PyTree:

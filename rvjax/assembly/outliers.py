@@ -60,14 +60,14 @@ def outliers(kind: Kind) -> tuple[Outlier, ...]:
         kind: parts.
     """
     population = getattr(kind.population, "tolerances", kind.population)
-    found: dict[Hashable, Outlier] = {}
+    unusual: dict[Hashable, Outlier] = {}
     paths = [path for path, _ in jax.tree_util.tree_flatten_with_path(kind.parts[0].errors)[0]]
     for path in paths:
         tolerance = at_path(population, path, None)
         for one in _of_error(kind, path, tolerance if isinstance(tolerance, Tolerance) else None):
-            if one.id not in found or one.away > found[one.id].away:
-                found[one.id] = one
-    return tuple(sorted(found.values(), key=lambda one: -one.away))
+            if one.id not in unusual or one.away > unusual[one.id].away:
+                unusual[one.id] = one
+    return tuple(sorted(unusual.values(), key=lambda one: -one.away))
 
 
 def _of_error(kind: Kind, path: Path, tolerance: Tolerance | None) -> list[Outlier]:
@@ -78,19 +78,19 @@ def _of_error(kind: Kind, path: Path, tolerance: Tolerance | None) -> list[Outli
         return []
     values = np.array([array for _, array in read], float)
     gauge = np.array([np.broadcast_to(np.asarray(at_path(part.sd, path, 0.0), float), shape) for part, _ in read])
-    name, found = jax.tree_util.keystr(path, simple=True, separator=".") or "errors", []
+    name, unusual = jax.tree_util.keystr(path, simple=True, separator=".") or "errors", []
     for place in np.ndindex(shape):
         column, noise = values[:, *place], gauge[:, *place]
         for k, away, measure in _of_column(column, noise, tolerance):
-            found.append(Outlier(kind.parts[k].id, element(name, place), float(column[k]), away, measure))
-    return found
+            unusual.append(Outlier(kind.parts[k].id, element(name, place), float(column[k]), away, measure))
+    return unusual
 
 
 def _of_column(values: np.ndarray, gauge: np.ndarray, tolerance: Tolerance | None) -> list[tuple[int, float, str]]:
     """Place, distance and its measure of the unusual ones of measured values (parts,)."""
     known = np.isfinite(gauge)
     noise = np.where(known, _GAUGE * gauge, 0.0)
-    found: dict[int, tuple[int, float, str]] = {}
+    unusual: dict[int, tuple[int, float, str]] = {}
     outside = np.full(len(values), True)
     if tolerance is not None and tolerance.half_width > 0:
         vector = tolerance.is_vector  # a component lies on both sides of zero
@@ -99,10 +99,10 @@ def _of_column(values: np.ndarray, gauge: np.ndarray, tolerance: Tolerance | Non
         outside = off > float(half)
         for k in np.flatnonzero(known & (off > _HALF_WIDTHS * float(half))):
             away = float(abs(values[k] - float(middle)) / float(half))
-            found[int(k)] = int(k), away, "half-widths from the middle of its limits"
+            unusual[int(k)] = int(k), away, "half-widths from the middle of its limits"
     lot = values[known]
     if len(lot) < _LOT:
-        return list(found.values())
+        return list(unusual.values())
     median = float(np.median(lot))
     spread = 1.4826 * float(np.median(np.abs(lot - median)))
     mirrored = (np.abs(values + median) < _SPREADS * spread) & (abs(median) > _SPREADS * spread)
@@ -110,5 +110,5 @@ def _of_column(values: np.ndarray, gauge: np.ndarray, tolerance: Tolerance | Non
     if 0 < far.sum() <= _FEW * len(lot) and spread > 0:
         for k in np.flatnonzero(far):
             away = float(abs(values[k] - median) / spread)
-            found.setdefault(int(k), (int(k), away, "standard deviations of the lot from its median"))
-    return list(found.values())
+            unusual.setdefault(int(k), (int(k), away, "standard deviations of the lot from its median"))
+    return list(unusual.values())

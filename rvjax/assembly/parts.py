@@ -170,19 +170,19 @@ class Known:
             draws: their count; 1 with nothing to draw.
             alike: antithetic draws that are common to all parts; else each part has its own.
         """
-        found = []
+        leaves = []
         for one in self.beliefs:
             shape = one.mean.shape[1:]
             if one.certain:
-                found.append(np.broadcast_to(one.mean[:, None], (len(one.mean), draws, *shape)))
+                leaves.append(np.broadcast_to(one.mean[:, None], (len(one.mean), draws, *shape)))
                 continue
             if alike:
                 half = rng.standard_normal((1, draws // 2, *shape))
                 z = np.concatenate([half, -half, np.zeros((1, draws % 2, *shape))], axis=1)
             else:
                 z = rng.standard_normal((len(one.mean), draws, *shape))
-            found.append(one.drawn(z))
-        return found
+            leaves.append(one.drawn(z))
+        return leaves
 
 
 def known(kind: Kind, slot: str) -> Known:

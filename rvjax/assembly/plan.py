@@ -3,7 +3,6 @@
 import dataclasses
 import math
 import warnings
-import zlib
 from collections.abc import Hashable, Mapping
 
 import numpy as np
@@ -11,17 +10,19 @@ import numpy as np
 from rvjax._ground.choices import choose
 from rvjax._jax.checks import checked
 from rvjax.assembly.alternation import best_so_far
-from rvjax.assembly.choice import CLOSE, EXACT, least_largest, least_sum
+from rvjax.assembly.choice import CLOSE, EXACT, chosen
 from rvjax.assembly.costs import Costs, Machine, UnitResponse, costs, good
 from rvjax.assembly.on_demand import MOST_VALUED, PILOTS, OnDemand, chosen_on_demand, too_many
 from rvjax.assembly.outliers import UnusualPart, outliers
-from rvjax.assembly.parts import Kind, Known, known
-from rvjax.assembly.random_assembly import MOST_FRESH, random_assembly
-from rvjax.assembly.supply import Build, Supply
+from rvjax.assembly.parts import Kind, known
+from rvjax.assembly.supply import Supply, as_they_lie, draw, in_order, left_over, supply_of
 from rvjax.population import deviate_of, score_interval
 from rvjax.tolerances import Estimate, Requirement
 
 OBJECTIVES = ("mean", "bottleneck", "yield")
+
+MOST_FRESH = 2**21
+"""Units of random assembly at most."""
 
 LEAST_FRESH = 32  # draws of a unit on which every plan is valued
 
@@ -131,56 +132,65 @@ def plan(
     fresh = 1 if certain else max(fewest, min(certificate_draws, most_fresh // supply.units))
     draws = 1 if certain else draws
     rng, asked = np.random.default_rng([seed % 2**64, 2]), (draws, requirement, objective == "yield")
-    found: Costs | OnDemand
+    priced: Costs | OnDemand
     with best_so_far(keep_best) as unsearched:
         if too_many(machine, draws, most_valued):
-            found = OnDemand(machine, draw(slots, seed, 0, draws, alike=True), *asked, pilots)
-            build, bound, reached, proved = chosen_on_demand(found, supply, objective, starts, rng, most_valued)
+            priced = OnDemand(machine, draw(slots, seed, 0, draws, alike=True), *asked, pilots)
+            build, bound, reached, proved = chosen_on_demand(priced, supply, objective, starts, rng, most_valued)
         else:
-            found = costs(machine, draw(slots, seed, 0, draws, alike=True), *asked)
-            build, bound, reached, proved = chosen(found, supply, objective, starts, rng, exact_up_to)
-    if found.level:  # nothing to choose by: in the given order
-        build = _as_they_lie(slots, supply)
-    build = _in_order(build, slots)
-    # Valued on fresh draws, next to random assembly on the same ones.
-    place = np.array(build)
-    own, best = found.of(place)
-    turn = machine.indices[best]
+            priced = costs(machine, draw(slots, seed, 0, draws, alike=True), *asked)
+            build, bound, reached, proved = chosen(priced, supply, objective, starts, rng, exact_up_to)
+    if priced.level:  # nothing to choose by: in the given order
+        build = as_they_lie(slots, supply)
+    place = np.array(in_order(build, slots))
     drawn = draw(slots, seed, 1, fresh, alike=False)
-    units = len(build)
-    if fresh == 1:  # all is known: the costs that chose are the values
-        values = np.where(np.isinf(own), np.nan, own)[:, None]
-    else:
-        lanes = np.repeat(np.arange(units), fresh), np.tile(np.arange(fresh), units)
-        values = machine.values(drawn, place[lanes[0]], turn[lanes[0]], lanes[1]).reshape(units, fresh)
-    random, random_good = random_assembly(machine, supply, found, drawn, requirement, seed, fresh, most_fresh)
+    values, turn = _valued(machine, priced, place, drawn, fresh)
+    random, random_good = _random_assembly(machine, supply, priced, drawn, requirement, seed, fresh, most_fresh)
     failed = np.isnan(values).any(axis=1)
     expected = np.where(failed, np.inf, values.mean(axis=1))
     share = good(values, requirement).mean(axis=0)
     worst = {"mean": expected.mean(), "bottleneck": expected.max(), "yield": share.mean()}[objective]
-    infeasible = not np.isfinite(reached)
-    gap = 0.0 if proved or reached == bound or infeasible else abs(reached - bound) / max(abs(reached), 1e-300)
-    own = np.where(np.isnan(values).any(axis=0), np.nan, values.mean(axis=0))
-    checks = 0 if isinstance(found, Costs) or not math.isfinite(bound) else found.checks
+    infeasible, gap = not np.isfinite(reached), _gap(reached, bound, proved)
+    checks = 0 if isinstance(priced, Costs) or not math.isfinite(bound) else priced.checks
     return Plan(
-        build=tuple({s: one.id_of(k) for (s, one), k in zip(slots.items(), unit)} for unit in build),
+        build=tuple({s: one.id_of(k) for (s, one), k in zip(slots.items(), unit)} for unit in place),
         index=tuple(dict(zip(slots, map(int, at))) for at in turn),
         values=expected,
         objective=float(worst),
         lower_bound=float(bound),
         gap=float(gap),
         status=_status(infeasible, gap, checks),
-        left_over=_left_over(slots, supply, place),
+        left_over=left_over(slots, supply, place),
         random=_estimate(random, confidence),
-        gain=_estimate(random - own, confidence),
+        gain=_estimate(random - values.mean(axis=0), confidence),
         yield_=None if requirement is None else _share(share, confidence),
         random_yield=None if requirement is None else _share(random_good, confidence),
         failing=tuple(map(int, np.flatnonzero(failed))) if infeasible else (),
-        valued=found.count,
+        valued=priced.count,
         combinations=math.prod(machine.shape),
         unsearched=sum(unsearched),
         checks=checks,
     )
+
+
+def _valued(
+    machine: Machine, priced: Costs | OnDemand, place: np.ndarray, drawn: Mapping[str, list[np.ndarray]], fresh: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Responses (units, draws) of a plan, NaN where a unit fails, and the angular positions of the parts."""
+    cost, best = priced.of(place)
+    turn = machine.indices[best]
+    if fresh == 1:  # all is known: the costs that chose are the values
+        return np.where(np.isinf(cost), np.nan, cost)[:, None], turn
+    units = len(place)
+    unit, each = np.repeat(np.arange(units), fresh), np.tile(np.arange(fresh), units)
+    return machine.values(drawn, place[unit], turn[unit], each).reshape(units, fresh), turn
+
+
+def _gap(reached: float, bound: float, proved: bool) -> float:
+    """(objective - bound)/|objective| of a choice; 0 where it is proved, and where its units fail."""
+    if proved or reached == bound or not np.isfinite(reached):
+        return 0.0
+    return abs(reached - bound) / max(abs(reached), 1e-300)
 
 
 def _status(infeasible: bool, gap: float, checks: int) -> str:
@@ -209,105 +219,6 @@ def _check(
         raise ValueError(f"confidence = {confidence!r}: must lie between 0 and 1")
 
 
-def supply_of(slots: Mapping[str, Known]) -> Supply:
-    """Stocks of the slots, and the units that they allow.
-
-    Raises:
-        ValueError: not even one unit.
-    """
-    kinds = list(dict.fromkeys(id(one) for one in slots.values()))
-    group = tuple(kinds.index(id(one)) for one in slots.values())
-    pieces = tuple(one.pieces for one in slots.values())
-    units = min(int(own.sum()) // group.count(number) for own, number in zip(pieces, group))
-    if units < 1:
-        raise ValueError("kinds: must have parts for one unit")
-    return Supply(pieces, group, units)
-
-
-def draw(
-    slots: Mapping[str, Known], seed: int, purpose: int, draws: int, *, alike: bool
-) -> dict[str, list[np.ndarray]]:
-    """Errors of all parts by slot; the draws of a slot depend on its name, not on its place.
-
-    Args:
-        slots: what is known of the parts.
-        seed: of the study.
-        purpose: 0 to choose, 1 to value; draws for one never serve the other.
-        draws: their count.
-        alike: common to all parts of a slot.
-    """
-    found: dict[str, list[np.ndarray]] = {}
-    by_stock: dict[int, str] = {}
-    for slot, one in slots.items():
-        if not alike and id(one) in by_stock:
-            found[slot] = found[by_stock[id(one)]]  # the same piece in any slot
-            continue
-        by_stock.setdefault(id(one), slot)
-        rng = np.random.default_rng([seed % 2**64, purpose, zlib.crc32(slot.encode())])
-        found[slot] = one.drawn(rng, draws, alike=alike)
-    return found
-
-
-def chosen(
-    found: Costs,
-    supply: Supply,
-    objective: str,
-    starts: int,
-    rng: np.random.Generator,
-    exact_up_to: int = EXACT,
-) -> tuple[Build, float, float, bool]:
-    """Build, bound and objective on the draws that chose (inf if it fails), and whether it is proved."""
-    kept, fewer = supply.lean()
-    single = [slot for slot in range(len(supply.shape)) if slot not in kept]
-    if single:  # what is the same in every unit is no choice, and two slots are exact
-        lean = dataclasses.replace(
-            found,
-            mean=found.mean.squeeze(tuple(single)),
-            outside=None if found.outside is None else found.outside.squeeze(tuple(single)),
-        )
-        build, bound, reached, proved = chosen(lean, fewer, objective, starts, rng, exact_up_to)
-        full = [tuple(dict(zip(kept, unit)).get(k, 0) for k in range(len(supply.shape))) for unit in build]
-        return full, bound, reached, proved
-    failing = ~np.isfinite(found.mean)
-    finite = found.mean[~failing]
-    mean = np.where(failing, finite.max(initial=0.0), found.mean)
-    units = supply.units
-    if failing.any():
-        fewest = least_sum([failing, mean], supply, starts, rng, asked=0, exact_up_to=exact_up_to)
-        if any(failing[unit] for unit in fewest.build):
-            return fewest.build, np.inf, np.inf, fewest.exact
-    if objective == "bottleneck":
-        worst = np.where(failing, finite.max() + 1 + np.ptp(finite), found.mean)
-        choice = least_largest(worst, supply, starts, rng, exact_up_to=exact_up_to)
-        return choice.build, choice.bound, max(found.mean[unit] for unit in choice.build), choice.exact
-    if objective == "yield":
-        assert found.outside is not None
-        choice = least_sum([failing, found.outside, mean], supply, starts, rng, asked=1, exact_up_to=exact_up_to)
-        share = 1 - sum(found.outside[unit] for unit in choice.build) / units
-        return choice.build, 1 - max(choice.bound, 0.0) / units, share, choice.exact
-    choice = least_sum([failing, mean], supply, starts, rng, exact_up_to=exact_up_to)
-    return choice.build, choice.bound / units, sum(mean[unit] for unit in choice.build) / units, choice.exact
-
-
-def _as_they_lie(slots: Mapping[str, Known], supply: Supply) -> Build:
-    """Combine the first pieces of every stock; the first pieces of a shared stock go into the first slot."""
-    rows: list[np.ndarray] = [np.empty(0)] * len(slots)
-    for group in set(supply.group):
-        own = supply.slots(group)
-        one = list(slots.values())[own[0]]
-        place = np.argsort(one.order)  # of each part as given
-        pool = np.repeat(place, one.kind.pieces)
-        for number, slot in enumerate(own):
-            rows[slot] = pool[number : supply.units * len(own) : len(own)]
-    return [tuple(map(int, unit)) for unit in zip(*rows)]
-
-
-def _in_order(build: Build, slots: Mapping[str, Known]) -> Build:
-    """Units in the order in which the parts of the first slot lie there, then those of the second."""
-    orders = [one.order for one in slots.values()]
-    return sorted(build, key=lambda unit: tuple(int(order[place]) for order, place in zip(orders, unit)))
-
-
 def _estimate(values: np.ndarray, confidence: float) -> Estimate:
     """Mean over the draws, their spread, and the quantiles as the interval."""
     seen = values[~np.isnan(values)]
@@ -320,29 +231,71 @@ def _estimate(values: np.ndarray, confidence: float) -> Estimate:
 def _warn(kinds: Mapping[str, Kind]) -> None:
     """Name the furthest part of each kind that may have a wrong unit."""
     for slot, kind in {id(kind): (slot, kind) for slot, kind in kinds.items()}.values():
-        if found := outliers(kind):
-            more = f" (and {len(found) - 1} more parts)" if found[1:] else ""
-            line = found[0].text(f"{slot}: part {found[0].id!r}", f"{found[0].value:.4g}")
+        if unusual := outliers(kind):
+            more = f" (and {len(unusual) - 1} more parts)" if unusual[1:] else ""
+            line = unusual[0].text(f"{slot}: part {unusual[0].id!r}", f"{unusual[0].value:.4g}")
             warnings.warn(line + more, UnusualPart, stacklevel=4)
 
 
 def _share(values: np.ndarray, confidence: float) -> Estimate:
     """As `_estimate`; where every draw shows the same share, the score interval of so many draws."""
     values = np.where(values > 1 - 1e-12, 1.0, values)  # weights add up to less, or more, by rounding
-    found = _estimate(values, confidence)
-    if len(values) == 1 or found.lower != found.upper:  # one draw: all is known
-        return found
-    lower, upper = score_interval(found.value, len(values), deviate_of(confidence))
-    return dataclasses.replace(found, lower=lower, upper=upper)
+    estimate = _estimate(values, confidence)
+    if len(values) == 1 or estimate.lower != estimate.upper:  # one draw: all is known
+        return estimate
+    lower, upper = score_interval(estimate.value, len(values), deviate_of(confidence))
+    return dataclasses.replace(estimate, lower=lower, upper=upper)
 
 
-def _left_over(slots: Mapping[str, Known], supply: Supply, place: np.ndarray) -> dict[str, tuple[Hashable, ...]]:
-    """Ids of unused pieces in the order given, each as often as there are pieces."""
-    found = {}
-    for number, (slot, one) in enumerate(slots.items()):
-        left = one.pieces.copy()
-        for other in supply.slots(supply.group[number]):
-            np.subtract.at(left, place[:, other], 1)
-        in_order = np.argsort(one.order)
-        found[slot] = tuple(one.id_of(k) for k in in_order for _ in range(left[k]))
-    return found
+def _random_assembly(
+    machine: Machine,
+    supply: Supply,
+    priced: Costs | OnDemand,
+    drawn: Mapping[str, list[np.ndarray]],
+    requirement: Requirement | None,
+    seed: int,
+    fresh: int,
+    most_fresh: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean response and share of good units of random assembly, for every fresh draw.
+
+    Args:
+        machine: response and parts.
+        supply: stocks.
+        priced: costs that chose; they are the values where all is known of the parts.
+        drawn: fresh errors of each slot.
+        requirement: limits of a good unit, or None.
+        seed: of the random units.
+        fresh: draws.
+        most_fresh: units at most over all draws: all combinations where they are no more, else a random part of them.
+    """
+    weight = supply.weight()
+    if fresh == 1 and isinstance(priced, Costs):
+        every = np.nan_to_num(priced.every_mean)
+        succeeds = weight * np.isfinite(priced.every_mean)
+        mean = (succeeds * every).sum() / succeeds.sum() if succeeds.any() else np.nan
+        share = np.nan if priced.every_good is None else (weight * priced.every_good).sum() / weight.sum()
+        return np.array([mean]), np.array([share])
+    cells, turns = np.argwhere(weight > 0), len(machine.indices)
+    likely = weight[weight > 0] / weight.sum()
+    most = max(1, most_fresh // fresh)
+    rng, sums = np.random.default_rng([seed % 2**64, 3]), np.cumsum(likely)
+    if len(cells) * turns <= most:
+        cell, turn = (x.ravel() for x in np.meshgrid(np.arange(len(cells)), np.arange(turns), indexing="ij"))
+        chosen = [(cell, turn)] * fresh
+        share = likely[cell] / turns
+    else:
+        chosen = [
+            (np.searchsorted(sums / sums[-1], rng.random(most), side="right"), rng.integers(turns, size=most))
+            for _ in range(fresh)
+        ]
+        share = np.full(most, 1 / most)
+    # All draws at once: a call of few units costs as much as one of many.
+    cell, turn = (np.concatenate(x) for x in zip(*chosen))
+    draw = np.repeat(np.arange(fresh), len(share))
+    values = machine.values(drawn, cells[cell], machine.indices[turn], draw).reshape(fresh, -1)
+    right = ~np.isnan(values)
+    weighed = np.where(right, share * np.nan_to_num(values), 0.0).sum(axis=1)
+    with np.errstate(invalid="ignore"):
+        mean = weighed / (share * right).sum(axis=1)
+    return mean, (share * good(values, requirement)).sum(axis=1)

@@ -4,7 +4,8 @@ Its `command.toml` holds its options and help; `inputs.py` reads options, study 
 `report.py` says what was found. `table` in `command.toml` names a table of study files that the command reads.
 """
 
-from rvjax.commands.run import about as about, module as module, run as run, section as section
+from rvjax._ground.sections import Reader
+from rvjax.commands.run import about as about, module as module, run as run
 from rvjax.commands.speak import (
     EXIT_BAD_INPUT as EXIT_BAD_INPUT,
     EXIT_NO_ANSWER as EXIT_NO_ANSWER,
@@ -35,3 +36,9 @@ COMMANDS = [
     "export",
 ]
 """Every command, in the order of the help."""
+
+
+def section(table: str) -> Reader | None:
+    """The function (table, study) -> value that reads a table of study files, None where no command reads it."""
+    found = next((name for name in COMMANDS if about(name).get("table") == table), None)
+    return None if found is None else module(found, "inputs").section

@@ -14,7 +14,6 @@ from typing import Any
 
 from rvjax._ground import progress
 from rvjax._ground.lines import terminal_width, wrapped
-from rvjax._ground.sections import Reader
 from rvjax.commands.speak import EXIT_NO_ANSWER, EXIT_OK, READING, WRITING, say
 
 
@@ -33,14 +32,6 @@ def module(name: str, part: str) -> ModuleType:
         part: of the module.
     """
     return importlib.import_module(f"rvjax.commands.{name}.{part}")
-
-
-def section(table: str) -> Reader | None:
-    """The function (table, study) -> value that reads a table of study files, None where no command reads it."""
-    from rvjax import commands
-
-    found = next((name for name in commands.COMMANDS if about(name).get("table") == table), None)
-    return None if found is None else module(found, "inputs").section
 
 
 def run(name: str, options: argparse.Namespace) -> int:

@@ -6,8 +6,7 @@ is at theta_in/ratio + d.
 
 from rvjax.compensation.correction import Correction, Left, Residual, correction, phase_residual, predicted, residual
 from rvjax.compensation.files import FORMS as FORMS, export, exported as exported, read
-from rvjax.compensation.schedule import Schedule, schedule
-from rvjax.compensation.table import Table, table
+from rvjax.compensation.table import Schedule, Table, schedule, table
 
 __all__ = [
     "Correction",

@@ -57,8 +57,8 @@ class Correction:
         dtype = jnp.result_type(float, angle) if isinstance(angle, jax.Array) else np.dtype(float)
         turned = library.asarray(angle, dtype)[..., None] * library.asarray(self.order, dtype)
         cosine, sine = (library.asarray(part, dtype) for part in (self.value.real, self.value.imag))
-        found = library.sum(sine * library.sin(turned) - cosine * library.cos(turned), axis=-1)
-        return found if isinstance(angle, jax.Array) or np.ndim(found) else float(found)
+        value = library.sum(sine * library.sin(turned) - cosine * library.cos(turned), axis=-1)
+        return value if isinstance(angle, jax.Array) or np.ndim(value) else float(value)
 
     def input(self, angle: Scalar) -> PyTree:
         """Return the same at the input, rad: ratio * output(angle).

@@ -153,13 +153,13 @@ def _write_modelica(table: Table, joint: Joint, seed: int | None) -> str:
 
 def _read_modelica(text: str) -> Parsed:
     first, head, *rows = text.splitlines()
-    found = re.fullmatch(r"double (\w+)\((\d+),2\)", head.strip())
-    if first.strip() != "#1" or found is None:
+    match = re.fullmatch(r"double (\w+)\((\d+),2\)", head.strip())
+    if first.strip() != "#1" or match is None:
         raise ValueError("its first lines must be #1 and double NAME(N,2)")
     pairs = [tuple(map(float, row.split())) for row in rows if row.strip()]
-    if len(pairs) != int(found[2]) or any(len(pair) != 2 for pair in pairs):
-        raise ValueError(f"there must be {found[2]} rows of two numbers")
-    return [pair[0] for pair in pairs], [pair[1] for pair in pairs], {"name": found[1]}
+    if len(pairs) != int(match[2]) or any(len(pair) != 2 for pair in pairs):
+        raise ValueError(f"there must be {match[2]} rows of two numbers")
+    return [pair[0] for pair in pairs], [pair[1] for pair in pairs], {"name": match[1]}
 
 
 def _write_mjcf(table: Table, joint: Joint, seed: int | None) -> str:
@@ -177,11 +177,11 @@ def _write_mjcf(table: Table, joint: Joint, seed: int | None) -> str:
 
 
 def _read_mjcf(text: str) -> Parsed:
-    found = {item.get("name", ""): item for item in ElementTree.fromstring(text).iter("numeric")}
-    names = [name for name in found if f"{name}_angle" in found]
+    items = {item.get("name", ""): item for item in ElementTree.fromstring(text).iter("numeric")}
+    names = [name for name in items if f"{name}_angle" in items]
     if len(names) != 1:
         raise ValueError("there must be two numerics NAME and NAME_angle")
-    angle, correction = ([float(x) for x in found[n].get("data", "").split()] for n in (f"{names[0]}_angle", names[0]))
+    angle, correction = ([float(x) for x in items[n].get("data", "").split()] for n in (f"{names[0]}_angle", names[0]))
     return angle, correction, {"name": names[0]}
 
 

@@ -164,7 +164,7 @@ def _free_root(
     return jnp.where(fold, middle, solution.value), SolveInfo(status, solution.info.steps, solution.info.residual)
 
 
-def _free_residual(x: Array, params: PyTree) -> jax.Array:
+def _free_residual(x: Array, params: tuple[jax.Array, ...]) -> jax.Array:
     a, b, c = params
     half_sine, half_cosine = sin_cos(x / 2)
     return 2 * half_sine * (2 * a * half_sine + b * half_cosine) + c  # (S1)
@@ -225,7 +225,7 @@ def direction_angle(x: jax.Array, y: jax.Array, size: jax.Array, *, closure: str
     return solution.value, solution.info
 
 
-def _direction_residual(b: Array, params: PyTree) -> jax.Array:
+def _direction_residual(b: Array, params: tuple[jax.Array, ...]) -> jax.Array:
     x, y = params
     sine, cosine = sin_cos(b)
     return x * sine - y * cosine
@@ -257,7 +257,7 @@ def _misfit(links: Links, slip: jax.Array) -> jax.Array:
     return stretch(links.l, *_offset(links, links.psi + slip)) - links.d2
 
 
-def _slip_residual(slip: Array, params: PyTree) -> jax.Array:
+def _slip_residual(slip: Array, params: tuple[Links, jax.Array]) -> jax.Array:
     """Derivative of the energy with respect to the lag of crank 3, divided by e^2."""
     links, ratio = params
     m, slope = jax.jvp(lambda s: _misfit(links, s), (slip,), (jnp.ones_like(slip),))

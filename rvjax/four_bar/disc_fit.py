@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from rvjax._jax.elementary import arctan2, divide, sin_cos
 from rvjax.four_bar.closures import Crank, stretch
 from rvjax.four_bar.unit import Unit, Vector
-from rvjax.records import Array, PyTree
+from rvjax.records import Array
 
 
 class Fit(NamedTuple):
@@ -134,7 +134,7 @@ def direction(x: jax.Array, y: jax.Array) -> jax.Array:
 
 
 @direction.defjvp
-def _direction_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
+def _direction_jvp(primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
     (x, y), (dx, dy) = primals, tangents
     size = jnp.abs(x) + jnp.abs(y)
     u, v = divide(x, size), divide(y, size)
@@ -142,7 +142,7 @@ def _direction_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
     return direction(x, y), (inverse * u) * dy - (inverse * v) * dx
 
 
-def misfit(unit: Unit, fit: Fit, crank: Crank) -> PyTree:
+def misfit(unit: Unit, fit: Fit, crank: Crank) -> jax.Array:
     """Two cranks: distance of the pins less that of the bores. More: sqrt(2 sum |residual|^2)."""
     shifts = unit.joint_shifts(crank)
     pins = [  # D
@@ -165,7 +165,7 @@ def misfit(unit: Unit, fit: Fit, crank: Crank) -> PyTree:
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
 
 
-def first_order_angle(unit: Unit, k: int, crank: Crank) -> PyTree:
+def first_order_angle(unit: Unit, k: int, crank: Crank) -> jax.Array:
     """Tangential displacement of the pins against the bores, mean over the cranks, divided by R."""
     turned, parts = 0, unit.parts
     for i, ((x, y), shift) in enumerate(zip(unit.axes, unit.joint_shifts(crank))):
@@ -198,9 +198,9 @@ def _mean(points: list[Vector]) -> Vector:
     return sum(x for x, _ in points) / len(points), sum(y for _, y in points) / len(points)
 
 
-def _sum_dot(first: list[Vector], second: list[Vector]) -> PyTree:
+def _sum_dot(first: list[Vector], second: list[Vector]) -> jax.Array:
     return sum(x * u + y * v for (x, y), (u, v) in zip(first, second))
 
 
-def _sum_cross(first: list[Vector], second: list[Vector]) -> PyTree:
+def _sum_cross(first: list[Vector], second: list[Vector]) -> jax.Array:
     return sum(x * v - y * u for (x, y), (u, v) in zip(first, second))

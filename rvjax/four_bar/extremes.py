@@ -11,6 +11,7 @@ import numpy as np
 from rvjax._jax.elementary import arctan2, divide
 from rvjax.four_bar.closures import Crank, stretch
 from rvjax.four_bar.disc_fit import (
+    Fit,
     Turning,
     apart,
     bore_excess,
@@ -23,7 +24,7 @@ from rvjax.four_bar.disc_fit import (
 )
 from rvjax.four_bar.turn import Score, Wave, largest_and_smallest
 from rvjax.four_bar.unit import Unit, Vector
-from rvjax.records import Array, PyTree, Record, field, record
+from rvjax.records import Array, Record, field, record
 from rvjax.status import SolveInfo, Status, at_once
 
 PARTS = ("error", "misfit")  # of a turn's statistics
@@ -65,16 +66,16 @@ def _under_load(unit: Unit, angles: int) -> tuple[jax.Array, jax.Array]:
     """Largest and smallest error."""
     fits = [fit(unit, k) for k in range(len(unit.parts.disc))]
 
-    def vectors(parts: PyTree, first: Crank) -> list[Vector]:
+    def vectors(parts: tuple[Unit, list[Fit]], first: Crank) -> list[Vector]:
         unit, fits = parts
         scale = 1 / (len(unit.axes) * unit.radius**2)  # vectors near 1, however many are multiplied
         sides = [vector(unit, own, unit.disc_crank(k, first)) for k, own in enumerate(fits)]
         return [(scale * cosine, scale * sine) for cosine, sine in sides]
 
-    def error(parts: PyTree, first: Crank) -> jax.Array:
+    def error(parts: tuple[Unit, list[Fit]], first: Crank) -> jax.Array:
         return _mean_angle(vectors(parts, first))
 
-    def of(parts: PyTree) -> Callable[[Crank], jax.Array]:
+    def of(parts: tuple[Unit, list[Fit]]) -> Callable[[Crank], jax.Array]:
         return lambda first: monotone_angle(functools.reduce(_times, vectors(parts, first)))
 
     score = Score(of, back=lambda score: _angle(score) / len(fits))
@@ -183,7 +184,7 @@ def _angle(score: jax.Array) -> jax.Array:
 def most_misfit(unit: Unit, angles: int) -> jax.Array:
     """Largest size of a misfit over uniform crank angles and all discs."""
 
-    def most(parts: PyTree, first: Crank) -> jax.Array:
+    def most(parts: tuple[Unit, list[Fit]], first: Crank) -> jax.Array:
         unit, fits = parts
         each = [jnp.abs(misfit(unit, own, unit.disc_crank(k, first))) for k, own in enumerate(fits)]
         return jnp.max(jnp.stack(each))
@@ -194,6 +195,10 @@ def most_misfit(unit: Unit, angles: int) -> jax.Array:
     return largest_and_smallest(most, (unit, [fit(unit, k) for k in discs]), angles, together=4)[0]
 
 
+_Apart = tuple[jax.Array, tuple[jax.Array, jax.Array], jax.Array]
+"""Crank radius, fixed and moving part of the distance of the pins, excess of the bores."""
+
+
 def _of_two(unit: Unit, k: int, angles: int) -> tuple[jax.Array, jax.Array]:
     """Largest and smallest misfit of a disc on two cranks without load.
 
@@ -202,13 +207,13 @@ def _of_two(unit: Unit, k: int, angles: int) -> tuple[jax.Array, jax.Array]:
     """
     turn = unit.disc_crank(k, Crank(1, 0))
 
-    def value(parts: PyTree, first: Crank) -> jax.Array:
+    def value(parts: _Apart, first: Crank) -> jax.Array:
         radius, (still, moving), excess = parts
         crank = first.turned(turn.cosine, turn.sine)
         moved = crank.turned(jnp.real(moving), jnp.imag(moving))
         return stretch(2 * radius, jnp.real(still) + moved.cosine, jnp.imag(still) + moved.sine) - excess
 
-    def wave(parts: PyTree) -> Wave:
+    def wave(parts: _Apart) -> Wave:
         radius, (still, moving), _ = parts
         back = Crank(2 * radius + jnp.real(still), -jnp.imag(still))
         place = back.turned(jnp.real(moving), jnp.imag(moving)).turned(turn.cosine, turn.sine)

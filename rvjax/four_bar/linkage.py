@@ -15,7 +15,7 @@ from rvjax._ground.choices import choose, unknown
 from rvjax._jax.elementary import LARGEST_ANGLE, sin_cos
 from rvjax._reducer.plausible import checked
 from rvjax.four_bar import closures
-from rvjax.records import Array, PyTree, Record, Scalar, concrete, field, promote, quantity, record
+from rvjax.records import Array, Record, Scalar, concrete, field, promote, quantity, record
 from rvjax.status import SolveInfo, Status, admit, window
 
 ALLOWED = {  # (cranks, branch): closures
@@ -93,7 +93,7 @@ def solve_closure(
 
 
 @partial(jax.jit, inline=True, static_argnames=("cranks", "closure", "branch"))
-def _solve_closure(numbers: PyTree, **methods: str) -> Closure:
+def _solve_closure(numbers: object, **methods: str) -> Closure:
     e, spacing, deviations, angle, ratio = promote(numbers)
     return close(e, spacing, deviations, closures.crank_direction(angle), ratio, **methods)
 

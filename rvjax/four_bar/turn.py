@@ -6,7 +6,7 @@ taken there, of what is wanted itself.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +16,8 @@ from rvjax._jax.elementary import arctan2, sin_cos
 from rvjax._jax.kernels import once_more, scan, settle
 from rvjax.four_bar.closures import Crank
 from rvjax.records import PyTree
+
+Parts = TypeVar("Parts")
 
 _BESIDE = 2  # angles on either side of the crest of a first harmonic that are looked at
 
@@ -43,8 +45,8 @@ class Wave(NamedTuple):
 
 
 def largest_and_smallest(
-    value: Callable[[PyTree, Crank], jax.Array],
-    parts: PyTree,
+    value: Callable[[Parts, Crank], jax.Array],
+    parts: Parts,
     angles: int,
     *,
     score: Score | None = None,
@@ -64,7 +66,7 @@ def largest_and_smallest(
     leaves, tree = jax.tree.flatten(parts)
     is_array = [isinstance(leaf, jax.Array) for leaf in leaves]
 
-    def whole(arrays: list[jax.Array]) -> PyTree:
+    def whole(arrays: list[jax.Array]) -> Parts:
         rest = iter(arrays)
         return jax.tree.unflatten(tree, [next(rest) if varies else leaf for leaf, varies in zip(leaves, is_array)])
 
@@ -111,7 +113,7 @@ def _all(along: Callable[[Crank], jax.Array], angles: int, places: bool, togethe
     turn = (np.cos(2 * np.pi * index / angles), np.sin(2 * np.pi * index / angles), index)
     first = along(Crank(1, 0))
 
-    def step(best: PyTree, place: PyTree) -> PyTree:
+    def step(best: tuple[jax.Array, ...], place: tuple[jax.Array, ...]) -> tuple[tuple[jax.Array, ...], None]:
         cosine, sine, index = place
         now = along(Crank(cosine, sine))
         if not places:

@@ -56,7 +56,7 @@ def disc_load(design: RVReducer, eccentricity: Array, shortening: Array, torque:
     )
 
 
-def pin_force(load: DiscLoad, crank: Crank, tangent: tuple[PyTree, PyTree], count: int, radius: Array) -> Vector:
+def pin_force(load: DiscLoad, crank: Crank, tangent: Vector, count: int, radius: Array) -> Vector:
     """Force of a disc on one of `count` crank pins; `crank` is the disc's eccentric direction."""
     couple = load.torque / (count * radius)
     return (
@@ -138,7 +138,7 @@ def is_loaded(design: RVReducer, output_torque: Scalar) -> bool:
 
 
 def take_apart(
-    design: RVReducer, errors: RVErrors, output_torque: Array, *others: PyTree, loaded: bool
+    design: RVReducer, errors: RVErrors, output_torque: Array, *others: object, loaded: bool
 ) -> tuple[PyTree, ...]:
     """Return the unit, and `others` in its dtype. An impossible case becomes a nominal unit.
 
@@ -206,7 +206,7 @@ def exact_direction(halves: int, count: int) -> Vector:
     return math.cos(math.pi * halves / count), math.sin(math.pi * halves / count)
 
 
-def _unstack(array: jax.Array) -> PyTree:
+def _unstack(array: jax.Array) -> list[Any]:
     """Nested lists of scalars. A split, unlike indexing, is transposed into one concatenation."""
     items: list[Any] = [part.reshape(()) for part in jax.lax.split(array.reshape(-1), (1,) * array.size)]
     for size in array.shape[:0:-1]:

@@ -5,20 +5,16 @@ dict of tolerances.
 """
 
 from rvjax.identify.batch import Batch, solve_many
-from rvjax.identify.check import identifiability
 from rvjax.identify.elements import mapped_values as mapped_values
-from rvjax.identify.fit import Fit as Fit
+from rvjax.identify.goodness_of_fit import MOST_PARETO as MOST_PARETO, Fit as Fit
 from rvjax.identify.information import Direction, Identifiability
-from rvjax.identify.laplace import MOST_PARETO as MOST_PARETO
-from rvjax.identify.noise import Noise
-from rvjax.identify.orders import Orders, orders
+from rvjax.identify.observation import Noise, Orders, orders
+from rvjax.identify.planning import Ranking, identifiability, rank_measurements
 from rvjax.identify.population import Process
 from rvjax.identify.posterior import Mode, Posterior
-from rvjax.identify.prediction import predict
-from rvjax.identify.ranking import Ranking, rank_measurements
 from rvjax.identify.sampler import Draws, sample
 from rvjax.identify.search import FAINT as FAINT
-from rvjax.identify.unit import solve
+from rvjax.identify.unit import predict, solve
 
 __all__ = [
     "Batch",

@@ -7,15 +7,14 @@ import jax
 import numpy as np
 
 from rvjax._jax.checks import checked
-from rvjax.identify import fit as fits
 from rvjax.identify.elements import mapped_values
-from rvjax.identify.fit import ADEQUATE, Fit
 from rvjax.identify.gauss_newton import Mode, info_of
+from rvjax.identify.goodness_of_fit import ADEQUATE, Fit, goodness, largest, weights_of
+from rvjax.identify.identification import Model, Problem, counted, integer
 from rvjax.identify.information import Spectrum
-from rvjax.identify.noise import Noise
+from rvjax.identify.observation import Noise
 from rvjax.identify.population import Process, process
 from rvjax.identify.posterior import outcome
-from rvjax.identify.problem import Model, Problem, counted, integer
 from rvjax.identify.search import APART, FAINT, ended_near, evidence_of, follow, lower_points, peak_of
 from rvjax.identify.shared import Split, Units, joint_mode, linear_rows, triangular
 from rvjax.population import Correlation, deviate_of
@@ -74,8 +73,8 @@ class Batch:
 @checked
 def solve_many(
     model: Model,
-    prior: PyTree,
-    data: PyTree,
+    prior: object,
+    data: object,
     *,
     noise: Noise,
     shared: str | Iterable[str] = (),
@@ -120,12 +119,12 @@ def solve_many(
     rows = [slice(start, start + together) for start in range(0, len(y), together)]
     if split.shared.size:
         joint = joint_mode(problem, split, y, points, max_steps, rows)
-        found = (joint.units(part) for part in rows)
+        by_chunk = (joint.units(part) for part in rows)
         shared_u, shared_sd = joint.shared_u, joint.shared_sd
     else:
-        found = (_separate(problem, y[part], points, max_steps, together) for part in rows)
+        by_chunk = (_separate(problem, y[part], points, max_steps, together) for part in rows)
         shared_u = shared_sd = np.zeros(0)
-    parts = [_figures(problem, split, y[part], units, deviate) for part, units in zip(rows, found)]
+    parts = [_figures(problem, split, y[part], units, deviate) for part, units in zip(rows, by_chunk)]
     whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0] if name != "worst"}
     elements = problem.elements
     return Batch(
@@ -153,8 +152,8 @@ def _separate(problem: Problem, y: np.ndarray, points: np.ndarray, max_steps: in
     """Modes of largest weight of separate units y (k, m); one program for any number of units in the last chunk."""
     starts = len(points)
     at = np.tile(points, (len(y), 1))
-    found = follow(problem, np.repeat(y, starts, axis=0), at, max_steps, together=together * starts)
-    lanes = jax.tree.map(lambda leaf: leaf.reshape(len(y), starts, *leaf.shape[1:]), found)
+    ends = follow(problem, np.repeat(y, starts, axis=0), at, max_steps, together=together * starts)
+    lanes = jax.tree.map(lambda leaf: leaf.reshape(len(y), starts, *leaf.shape[1:]), ends)
     _accept_kinks(problem, y, lanes)
     good = lanes.info.status == Status.CONVERGED
     z = np.where(good[..., None], lanes.z, 0.0)
@@ -195,8 +194,8 @@ def _figures(problem: Problem, split: Split, y: np.ndarray, units: Units, deviat
     elements, seen, good = problem.elements, ~np.isnan(y), units.status == Status.CONVERGED
     u = np.where(good[:, None], units.u, 0.0)
     slopes, datum = units.rows[..., :-1], units.rows[..., -1]
-    judged = fits.goodness(slopes, elements.mixing, problem.nuisance, datum, seen, problem.dof)
-    weights = fits.weights(units.residual, seen, problem.dof)
+    judged = goodness(slopes, elements.mixing, problem.nuisance, datum, seen, problem.dof)
+    weights = weights_of(units.residual, seen, problem.dof)
     middle, one, other = (
         mapped_values(elements, u + sign * deviate * np.where(good[:, None], units.u_sd, 1.0)) for sign in (0, -1, 1)
     )
@@ -219,7 +218,7 @@ def _figures(problem: Problem, split: Split, y: np.ndarray, units: Units, deviat
         lower=known(np.minimum(one, other)),
         upper=known(np.maximum(one, other)),
         weights=known(weights),
-        worst=[fits.largest(residual, names) for residual in units.residual],
+        worst=[largest(residual, names) for residual in units.residual],
         outcome=np.array(
             [str(outcome(int(s), bool(a), 1 + bool(h), True)) for s, a, h in zip(units.status, adequate, units.several)]
         ),

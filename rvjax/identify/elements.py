@@ -79,7 +79,7 @@ class Elements:
     population: Population
 
     @classmethod
-    def of(cls, prior: PyTree, correlation: Correlation = None) -> "Elements":
+    def of(cls, prior: object, correlation: Correlation = None) -> "Elements":
         """Return the elements of a prior.
 
         Raises:
@@ -93,10 +93,10 @@ class Elements:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Name of each element, "field[i,j]"; scalars bare, nested fields dotted."""
-        found = []
+        names = []
         for field, tolerance in self.population.active.items():
-            found += elements(field, tolerance.shape)
-        return tuple(found)
+            names += elements(field, tolerance.shape)
+        return tuple(names)
 
     @cached_property
     def fields(self) -> tuple[str, ...]:
@@ -131,15 +131,15 @@ class Elements:
         Raises:
             ValueError: a name that is none of them.
         """
-        found: set[int] = set()
+        chosen: set[int] = set()
         for name in [given] if isinstance(given, str) else given:
             inside = (f"{name}[", f"{name}.")
             places = [i for i, own in enumerate(self.names) if own == name or own.startswith(inside)]
             if not places:
                 known = ", ".join(self.population.active)
                 raise ValueError(f"{argument} = {name!r}: no field of the prior with a Tolerance; these have: {known}")
-            found.update(places)
-        return np.array(sorted(found), int)
+            chosen.update(places)
+        return np.array(sorted(chosen), int)
 
     def structure(self, values: np.ndarray) -> PyTree:
         """Return the structure of the prior with values (..., p): arrays (..., *shape), one number as a float."""
@@ -153,7 +153,7 @@ class Elements:
         }
         return self.population.fill(parts)
 
-    def vector(self, argument: str, values: PyTree) -> np.ndarray:
+    def vector(self, argument: str, values: object) -> np.ndarray:
         """Return the active elements (p,) of a structure of values.
 
         Raises:
@@ -168,12 +168,12 @@ class Elements:
                 raise ValueError(f"{argument}.{name}: must be numbers of shape {tolerance.shape}, in SI") from None
         return np.concatenate(parts)
 
-    def beside(self, argument: str, other: PyTree) -> dict[str, PyTree]:
+    def beside(self, argument: str, other: object) -> dict[str, PyTree]:
         """Leaves of `other`, a structure like the prior, by active field."""
         leaves = self._beside(argument, other)
         return {name: leaves[name] for name in self.population.active}
 
-    def _beside(self, argument: str, other: PyTree) -> dict[str, PyTree]:
+    def _beside(self, argument: str, other: object) -> dict[str, PyTree]:
         _, treedef = self.population._flat
         try:
             leaves = treedef.flatten_up_to(other)
@@ -181,7 +181,7 @@ class Elements:
             raise ValueError(f"{argument}: must have the structure of the prior, got {type(other).__name__}") from None
         return dict(zip(self.population._leaves, leaves))
 
-    def at(self, argument: str, values: PyTree) -> np.ndarray:
+    def at(self, argument: str, values: object) -> np.ndarray:
         """Find the u (p,) of values within the prior's distributions.
 
         Raises:
@@ -193,10 +193,10 @@ class Elements:
             if tolerance.law.couples:
                 raise ValueError(f"{argument}.{name}: {tolerance.distribution} vectors cannot be placed")
         u = np.asarray(standard(self.population, jnp.asarray(wanted[None])))[0]
-        found = mapped_values(self, u[None])[0]
+        back = mapped_values(self, u[None])[0]
         widths = np.asarray([float(self.population.active[field].half_width) for field in self.fields])
         constant = widths == 0
-        off = np.abs(found - wanted) > 1e-6 * np.maximum(widths, 1e-9 * np.abs(wanted))
+        off = np.abs(back - wanted) > 1e-6 * np.maximum(widths, 1e-9 * np.abs(wanted))
         if off.any():
             worst = int(np.argmax(off))
             raise ValueError(f"{argument}.{self.names[worst]} = {wanted[worst]:.6g}: outside its distribution, in SI")

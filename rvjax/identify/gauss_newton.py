@@ -153,8 +153,8 @@ def modes(
         (live,) = np.nonzero(going)
         part = _State(*(item[live] for item in state))
         trial = part.z + part.step
-        found = _advanced(part, trial, linearise(live, trial @ mixing.T), mixing, dof)
-        for whole, new in zip(state, found, strict=True):
+        advanced = _advanced(part, trial, linearise(live, trial @ mixing.T), mixing, dof)
+        for whole, new in zip(state, advanced, strict=True):
             whole[live] = new
     converged, finite = state.away <= state.enough, np.isfinite(state.phi)
     status = np.where(converged, Status.CONVERGED, Status.MAX_STEPS)
@@ -201,9 +201,9 @@ def _going(state: _State, max_steps: int) -> np.ndarray:
 
 
 @np.errstate(invalid="ignore", over="ignore")  # a trial that is not finite
-def _advanced(state: _State, trial: np.ndarray, found: Linearised, mixing: np.ndarray, dof: float | None) -> _State:
+def _advanced(state: _State, trial: np.ndarray, linear: Linearised, mixing: np.ndarray, dof: float | None) -> _State:
     """The state after a trial step, with the next one."""
-    residual, slopes, observation, size = found
+    residual, slopes, observation, size = linear
     least = ROUNDINGS * np.finfo(trial.dtype).eps
     phi = (trial**2).sum(axis=-1) / 2 + half_square(residual, dof)
     sound = np.isfinite(phi) & np.isfinite(slopes).all(axis=(-2, -1))

@@ -1,21 +1,59 @@
-"""The observation of a model as a vector of real numbers, leaves in the order of `jax.tree`, complex ones as pairs."""
+"""The observation of a model as a vector of real numbers, its `Noise`, and `orders`: the harmonics of a measured curve.
+
+Leaves are in the order of `jax.tree`, complex ones as pairs.
+"""
 
 import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.records import PyTree
+from rvjax._ground.linear import svd
+from rvjax._jax.checks import checked
+from rvjax.records import Array, PyTree
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Noise:
+    """Random error of every measured real number; a complex number holds two, independent of each other.
+
+    Attributes:
+        sd: standard deviation (the scale of Student noise), unit of the observation: one number, or the structure of
+            the observation with a number or an array in each place.
+        dof: degrees of freedom of Student noise, for data with outliers; inf is normal noise.
+    """
+
+    sd: PyTree
+    dof: float = dataclasses.field(default=math.inf, kw_only=True)
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for a value that is no standard deviation."""
+        leaves = jax.tree_util.tree_flatten_with_path(self.sd, is_leaf=lambda item: item is None)[0]
+        if not leaves:
+            raise ValueError(f"Noise.sd = {self.sd!r}: must hold a number, unit of the observation")
+        for path, leaf in leaves:
+            name = "Noise.sd" + jax.tree_util.keystr(path)
+            try:
+                sd = np.asarray(leaf, float)
+            except (TypeError, ValueError):
+                raise ValueError(f"{name} = {leaf!r}: must be a number, unit of the observation") from None
+            bad = ~((sd > 0) & np.isfinite(sd))
+            if bad.any():
+                worst = float(sd[bad].flat[0])
+                raise ValueError(f"{name} = {worst:.6g}: must be positive and finite, unit of the observation")
+        if isinstance(self.dof, bool) or not isinstance(self.dof, (int, float)) or not self.dof > 0:
+            raise ValueError(f"Noise.dof = {self.dof!r}: must be a positive number (inf: normal noise)")
+
 
 ALL = "all"
 """Name of the only group of an observation that is no dict or record."""
 
 
-def flatten(observation: PyTree) -> jax.Array:
+def flatten(observation: object) -> jax.Array:
     """All numbers of an observation as one real vector (m,); of complex ones real and imaginary part in turn."""
     parts = []
     for leaf in jax.tree.leaves(observation):
@@ -36,7 +74,7 @@ class Layout:
     complex: tuple[bool, ...]
 
     @classmethod
-    def of(cls, observation: PyTree) -> "Layout":
+    def of(cls, observation: object) -> "Layout":
         """Return the layout of an observation, or of its shapes.
 
         Raises:
@@ -62,26 +100,26 @@ class Layout:
     @property
     def names(self) -> list[str]:
         """A name for each real number, such as "te[3].imag"."""
-        found = []
+        names = []
         for name, shape, pairs in zip(self._leaf_names(), self.shapes, self.complex):
             for index in np.ndindex(shape):
                 place = name + (f"[{','.join(map(str, index))}]" if shape else "")
-                found += [f"{place}.real", f"{place}.imag"] if pairs else [place]
-        return found
+                names += [f"{place}.real", f"{place}.imag"] if pairs else [place]
+        return names
 
     @property
     def groups(self) -> dict[str, np.ndarray]:
         """Places of each group (a key of a dict or record observation, else "all")."""
-        found: dict[str, list[int]] = {}
+        rows: dict[str, list[int]] = {}
         start = 0
         for path, size in zip(self.paths, self.sizes):
             named = path and isinstance(path[0], (jax.tree_util.DictKey, jax.tree_util.GetAttrKey))
             name = jax.tree_util.keystr(path[:1], simple=True) if named else ALL
-            found.setdefault(name, []).extend(range(start, start + size))
+            rows.setdefault(name, []).extend(range(start, start + size))
             start += size
-        return {name: np.array(places) for name, places in found.items()}
+        return {name: np.array(places) for name, places in rows.items()}
 
-    def data(self, data: PyTree, *, batched: bool = False) -> np.ndarray:
+    def data(self, data: object, *, batched: bool = False) -> np.ndarray:
         """Measured data as a vector (m,), or (units, m) where every leaf has the units on axis 0; NaN is missing.
 
         Raises:
@@ -147,7 +185,7 @@ class Layout:
         named = (jax.tree_util.keystr(path, simple=True, separator=".") for path in self.paths)
         return [name or "data" for name in named]
 
-    def _match(self, argument: str, tree: PyTree) -> Iterator[tuple[str, tuple[int, ...], bool, PyTree]]:
+    def _match(self, argument: str, tree: object) -> Iterator[tuple[str, tuple[int, ...], bool, PyTree]]:
         """Yield name, shape and kind of each leaf of the observation with the same leaf of `tree`."""
         try:
             leaves = self.treedef.flatten_up_to(tree)
@@ -174,3 +212,75 @@ def _numbers(name: str, leaf: object, pairs: bool) -> np.ndarray:
     if number.dtype.kind != ("c" if pairs else "f") or (pairs and given.dtype.kind in "fiu"):
         raise ValueError(f"{name}: must hold {'complex' if pairs else 'real'} numbers, got {np.asarray(leaf).dtype}")
     return number
+
+
+DEPENDENT = 1e-8
+"""Least ratio of singular values at which the samples distinguish all orders."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Orders:
+    """Harmonics of a curve, value(angle) = mean + Re sum_k value_k exp(i order_k angle).
+
+    Attributes:
+        order: as required (k,).
+        value: complex amplitudes (k,), unit of the curve.
+        sd: standard deviation of their real and imaginary part (k,), from the residual.
+        mean: of the curve.
+        residual_sd: standard deviation of what no order explains, unit of the curve.
+    """
+
+    order: np.ndarray
+    value: np.ndarray
+    sd: np.ndarray
+    mean: float
+    residual_sd: float
+
+
+@checked
+def orders(
+    angle: Array | np.ndarray, value: Array | np.ndarray, orders: Sequence[float] | np.ndarray, *, drift: bool = False
+) -> Orders:
+    """Harmonics of a curve that may be sampled unevenly, over any number of turns.
+
+    Args:
+        angle: rad (n,).
+        value: of the curve (n,), NaN where missing.
+        orders: per turn, positive and distinct (k,).
+        drift: whether the curve may also creep in proportion to the angle; that part is fitted and removed.
+
+    Raises:
+        ValueError: shapes that do not fit, numbers that are not finite, or more orders than the samples distinguish.
+    """
+    wanted = np.asarray(orders, float)
+    if wanted.ndim != 1 or not (wanted > 0).all() or np.unique(wanted).size != wanted.size or np.isinf(wanted).any():
+        raise ValueError(f"orders = {orders!r}: must be positive and distinct, per turn")
+    x, y = np.asarray(angle, float), np.asarray(value, float)
+    if x.ndim != 1 or x.shape != y.shape:
+        raise ValueError(f"value: shape {y.shape}, angle has {x.shape} rad; both must be (n,)")
+    seen = ~np.isnan(y)
+    x, y = x[seen], y[seen]
+    for name, item, unit in (("angle", x, "rad"), ("value", y, "unit of the curve")):
+        if not np.isfinite(item).all():
+            raise ValueError(f"{name} = {item[~np.isfinite(item)][0]}: must be finite, {unit}")
+    # Columns of one length, about the mid-point of the angles: the scale of the angles does not change the condition.
+    centred = (x - x.mean()) / max(float(np.ptp(x)), 1e-300) if x.size else x
+    extra = [centred] if drift else []
+    phase = x[:, None] * wanted
+    matrix = np.concatenate([np.ones((x.size, 1)), *(c[:, None] for c in extra), np.cos(phase), -np.sin(phase)], axis=1)
+    numbers = matrix.shape[1]
+    left, singular, right = svd(matrix)
+    if x.size <= numbers or singular[-1] < DEPENDENT * singular[0]:
+        raise ValueError(f"orders = {wanted.tolist()}: {x.size} samples cannot determine {numbers} numbers per turn")
+    coefficients = right.T @ ((left.T @ y) / singular)
+    residual_sd = float(np.sqrt(((y - matrix @ coefficients) ** 2).sum() / (x.size - numbers)))
+    variance = ((right.T / singular) ** 2).sum(axis=1)
+    first = 1 + len(extra)
+    real, imaginary = slice(first, first + wanted.size), slice(first + wanted.size, None)
+    return Orders(
+        order=wanted,
+        value=coefficients[real] + 1j * coefficients[imaginary],
+        sd=residual_sd * np.sqrt((variance[real] + variance[imaginary]) / 2),
+        mean=float(coefficients[0]),
+        residual_sd=residual_sd,
+    )

@@ -19,8 +19,8 @@ from rvjax._ground import frames
 from rvjax._jax.checks import checked
 from rvjax.identify.elements import mapped_values
 from rvjax.identify.gauss_newton import half_square, mixed
+from rvjax.identify.identification import Given, Model, Residual, counted, residuals
 from rvjax.identify.posterior import Posterior
-from rvjax.identify.problem import Given, Model, Residual, counted, residuals
 from rvjax.identify.search import FAINT
 from rvjax.population import root_key
 from rvjax.records import PyTree
@@ -156,8 +156,8 @@ def run(
             state, info = step(key, state)
             return state, (state.position, info.is_divergent)
 
-        found: tuple[jax.Array, jax.Array] = jax.lax.scan(advance, state, jax.random.split(sampling, draws))[1]
-        return found
+        positions: tuple[jax.Array, jax.Array] = jax.lax.scan(advance, state, jax.random.split(sampling, draws))[1]
+        return positions
 
     return jax.vmap(chain)(keys, starts)
 

@@ -9,8 +9,8 @@ from scipy import special
 from rvjax._jax.kernels import in_blocks
 from rvjax._jax.sizes import LINEARISED
 from rvjax.identify.gauss_newton import NEAR, Linearised, Mode, half_square, modes
+from rvjax.identify.identification import Problem, densities, parts_of
 from rvjax.identify.information import Spectrum
-from rvjax.identify.problem import Problem, densities, parts_of
 from rvjax.status import SolveInfo, Status
 
 APART = 1.0
@@ -107,11 +107,11 @@ def _begun(problem: Problem, y: np.ndarray, points: np.ndarray, max_steps: int) 
     """The points, or of the ends to which a part of the model leads from them the lowest and those that are apart."""
     if len(parts_of(problem.model)[1]) == 1:
         return points
-    found = follow(problem, np.tile(y, (len(points), 1)), points, max_steps, part=True)
+    ends = follow(problem, np.tile(y, (len(points), 1)), points, max_steps, part=True)
     ended: list[Peak] = []
-    for lane in np.argsort(found.phi):
-        if ended_near(found.info)[lane]:
-            peak = peak_of(problem, y, *(item[lane] for item in found[:5]))
+    for lane in np.argsort(ends.phi):
+        if ended_near(ends.info)[lane]:
+            peak = peak_of(problem, y, *(item[lane] for item in ends[:5]))
             if len(ended) < LOWEST or not any(_near(peak, other, APART) for other in ended):
                 ended.append(peak)
     return np.stack([peak.z for peak in ended]) if ended else points
@@ -126,20 +126,20 @@ def _searched(
     saddles: list[Peak] = []
     while pending and len(ended) < ROUNDS:
         block, pending = pending[: len(points)], pending[len(points) :]
-        found = follow(problem, np.tile(y, (len(block), 1)), np.stack(block), max_steps)
-        ended.append(found)
-        for lane in np.argsort(found.phi):
-            if not ended_near(found.info)[lane]:
+        ends = follow(problem, np.tile(y, (len(block), 1)), np.stack(block), max_steps)
+        ended.append(ends)
+        for lane in np.argsort(ends.phi):
+            if not ended_near(ends.info)[lane]:
                 continue
-            peak = peak_of(problem, y, *(item[lane] for item in found[:5]))
+            peak = peak_of(problem, y, *(item[lane] for item in ends[:5]))
             if any(_near(peak, other, APART) for other in peaks) or any(_near(peak, s, SAME) for s in saddles):
                 continue
-            bent = bool(found.info.status[lane] != Status.CONVERGED)
+            bent = bool(ends.info.status[lane] != Status.CONVERGED)
             beside = lower_points(problem, y, peak, draws, bent)
             (saddles if beside else peaks).append(peak)
             pending += beside
             if not beside:  # at a kink too
-                found.info.status[lane] = Status.CONVERGED
+                ends.info.status[lane] = Status.CONVERGED
     return tuple(sorted(peaks, key=lambda peak: -peak.evidence)), _final_info(ended, bool(peaks))
 
 
@@ -149,15 +149,15 @@ def ended_near(info: SolveInfo) -> np.ndarray:
     return (status == Status.CONVERGED) | ((status == Status.MAX_STEPS) & (away <= NEAR))
 
 
-def _final_info(ended: list[Any], found: bool) -> SolveInfo:
+def _final_info(ended: list[Any], solved: bool) -> SolveInfo:
     """Return the status of the solver at the lowest usable point."""
     phi = np.concatenate([item.phi for item in ended])
     status = np.concatenate([item.info.status for item in ended])
-    usable = status == Status.CONVERGED if found else np.isfinite(phi)
+    usable = status == Status.CONVERGED if solved else np.isfinite(phi)
     lane = int(np.argmin(np.where(usable, phi, np.inf)))
     steps, residual = (np.concatenate([getattr(item.info, name) for item in ended]) for name in ("steps", "residual"))
     # Saddles alone are no mode: the steps ended, but not at one.
-    named = status[lane] if found or status[lane] != Status.CONVERGED else np.int32(Status.MAX_STEPS)
+    named = status[lane] if solved or status[lane] != Status.CONVERGED else np.int32(Status.MAX_STEPS)
     return SolveInfo(jnp.int32(named), steps[lane], residual[lane])
 
 
@@ -198,13 +198,13 @@ def lower_points(problem: Problem, y: np.ndarray, peak: Peak, draws: int, bent: 
     # At a minimum Phi rises by step^2/2; rounding of Phi is far below that.
     least = NEAR**2 / 2 if bent else 1e-3 * STEP_ASIDE**2 / 2
     limit = peak.phi - least - 1e-12 * abs(peak.phi)
-    found, error = phi_about(problem, y, points, peak, draws)
-    if (open_ := found < limit + DOUBT * error).any() and error:
-        found[open_] = phi_at(problem, y, points[open_], draws)
-    if not (found < limit).any():
+    phi, error = phi_about(problem, y, points, peak, draws)
+    if (open_ := phi < limit + DOUBT * error).any() and error:
+        phi[open_] = phi_at(problem, y, points[open_], draws)
+    if not (phi < limit).any():
         return []
     half = len(step.T)
-    k = int(np.argmin(found)) % half
+    k = int(np.argmin(phi)) % half
     return [points[k], points[k + half]]
 
 
@@ -220,11 +220,11 @@ def phi_about(problem: Problem, y: np.ndarray, points: np.ndarray, peak: Peak, d
     rest = peak.observation - here[0]
     slope = problem.sd[:, None] * peak.slopes - np.where(np.isnan(y)[:, None], 0.0, slopes[0])
     apart = (points - peak.z) @ mixing.T @ slope.T
-    found = _phi(problem, y, points, problem.evaluate(points @ mixing.T, part=True)[0] + rest + apart)
+    phi = _phi(problem, y, points, problem.evaluate(points @ mixing.T, part=True)[0] + rest + apart)
     some = np.linspace(0, len(points) - 1, CHECKED).astype(int)
     with np.errstate(invalid="ignore"):
-        error = float(np.abs(found[some] - phi_at(problem, y, points[some], draws)).max())
-    return found, error if np.isfinite(error) else np.inf
+        error = float(np.abs(phi[some] - phi_at(problem, y, points[some], draws)).max())
+    return phi, error if np.isfinite(error) else np.inf
 
 
 def phi_at(problem: Problem, y: np.ndarray, points: np.ndarray, draws: int) -> np.ndarray:
@@ -244,5 +244,5 @@ def phi_at(problem: Problem, y: np.ndarray, points: np.ndarray, draws: int) -> n
 
 def _phi(problem: Problem, y: np.ndarray, points: np.ndarray, observation: np.ndarray) -> np.ndarray:
     dof = None if np.isinf(problem.dof) else problem.dof
-    found = (points**2).sum(axis=-1) / 2 + half_square(problem.whitened(observation, y)[0], dof)
-    return np.where(np.isfinite(found), found, np.inf)
+    phi = (points**2).sum(axis=-1) / 2 + half_square(problem.whitened(observation, y)[0], dof)
+    return np.where(np.isfinite(phi), phi, np.inf)

@@ -15,8 +15,8 @@ import numpy as np
 
 from rvjax.identify.elements import Elements
 from rvjax.identify.gauss_newton import LONGEST, ROUNDINGS, TOLERANCE, half_square, roots_of_weights
+from rvjax.identify.identification import Problem
 from rvjax.identify.information import compress_rows
-from rvjax.identify.problem import Problem
 from rvjax.status import Status
 
 HOPELESS = 12
@@ -214,12 +214,12 @@ class Joint:
 
     def _expected_factors(self) -> np.ndarray:
         """Factors with the expected information of Student noise."""
-        found = []
+        factors = []
         for part in self.rows:
             slopes = self.evaluate(part, self.z, self.w)[3] @ self.mixing[:, self.order]
             rows = np.sqrt(self.problem.discount) * np.pad(slopes, ((0, 0), (0, slopes.shape[-1] + 1), (0, 1)))
-            found.append(triangular(rows))
-        return np.concatenate(found)
+            factors.append(triangular(rows))
+        return np.concatenate(factors)
 
     def units(self, part: slice) -> Units:
         """Some of the units at the mode."""

@@ -1,27 +1,35 @@
-"""`solve`: errors of the parts of one unit from its measurement."""
+"""One unit: `solve` finds the errors of its parts from its measurement, `predict` another response of it."""
 
 import dataclasses
 from collections.abc import Iterable
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
 from rvjax._jax.checks import checked
-from rvjax.identify import fit as fits, laplace as checks
 from rvjax.identify.elements import mapped_values
-from rvjax.identify.fit import ADEQUATE, Fit
+from rvjax.identify.goodness_of_fit import (
+    ADEQUATE,
+    LEAST_DRAWS,
+    Fit,
+    Laplace,
+    goodness,
+    largest,
+    reliability,
+    weights_of,
+)
+from rvjax.identify.identification import Model, Problem, counted, integer
 from rvjax.identify.information import findings
-from rvjax.identify.laplace import Laplace
-from rvjax.identify.limits import broken, limits_of
-from rvjax.identify.noise import Noise
-from rvjax.identify.posterior import Mode, Outcome, Posterior, outcome
-from rvjax.identify.problem import Model, Problem, counted, integer
+from rvjax.identify.observation import Noise
+from rvjax.identify.posterior import Mode, Outcome, Posterior, broken, limits_of, outcome, shares
+from rvjax.identify.sampler import Draws
 from rvjax.identify.search import FAINT, Peak, phi_about, phi_at, search
-from rvjax.identify.shares import shares
-from rvjax.population import Correlation, deviate_of
-from rvjax.records import PyTree
-from rvjax.status import SolveInfo, Status
+from rvjax.population import Correlation, Estimate, deviate_of, wilson
+from rvjax.response import Response, by_response, respond, unwrapped
+from rvjax.status import SolveInfo, Status, succeeded
+from rvjax.tolerances import Limits
 
 AGREED = 0.2
 """Largest error of the logarithm of a weight, over the spread of all, that leaves the tail of the weights as it is."""
@@ -30,8 +38,8 @@ AGREED = 0.2
 @checked
 def solve(
     model: Model,
-    prior: PyTree,
-    data: PyTree,
+    prior: object,
+    data: object,
     *,
     noise: Noise,
     nuisance: str | Iterable[str] = (),
@@ -41,7 +49,7 @@ def solve(
     max_steps: int = 50,
     draws: int = 512,
     confidence: float = 0.95,
-    limits: PyTree = None,
+    limits: object = None,
 ) -> Posterior:
     """Identify the errors of one unit from its measurement.
 
@@ -67,7 +75,7 @@ def solve(
     deviate = deviate_of(confidence)
     counted("starts", starts, 1)
     counted("max_steps", max_steps, 1)
-    counted("draws", draws, checks.LEAST_DRAWS)
+    counted("draws", draws, LEAST_DRAWS)
     y = problem.layout.data(data)
     rng = np.random.default_rng(integer("seed", seed) % 2**64)
     drawing = limits_of(problem.elements, limits)
@@ -99,7 +107,7 @@ def _found(
     log_weights = (picked**2).sum(axis=1) / 2 - phi
     if error > AGREED * log_weights.std():
         log_weights += phi - phi_at(problem, y, drawn, draws)
-    laplace = checks.reliability(log_weights, heavy)
+    laplace = reliability(log_weights, heavy)
     rows = [u, u - deviate * about.u_sd, u + deviate * about.u_sd, *(mixing @ item.z for item in peaks)]
     values = mapped_values(elements, np.stack(rows))
     fit = _goodness(problem, y, peak.residual, peak.slopes, u)
@@ -160,9 +168,82 @@ def _lost(problem: Problem, y: np.ndarray, info: SolveInfo) -> Posterior:
 def _goodness(problem: Problem, y: np.ndarray, residual: np.ndarray, slopes: np.ndarray, u: np.ndarray) -> Fit:
     """Goodness of fit of model and prior for one unit."""
     mixing, seen = problem.elements.mixing, ~np.isnan(y)
-    found = fits.goodness(slopes, mixing, problem.nuisance, slopes @ u - residual, seen, problem.dof)
+    numbers = goodness(slopes, mixing, problem.nuisance, slopes @ u - residual, seen, problem.dof)
     return Fit(
-        **{name: number.item() for name, number in found.items()},
-        weights=fits.weights(residual, seen, problem.dof),
-        worst=fits.largest(residual, problem.layout.names),
+        **{name: number.item() for name, number in numbers.items()},
+        weights=weights_of(residual, seen, problem.dof),
+        worst=largest(residual, problem.layout.names),
     )
+
+
+@checked
+def predict(
+    posterior: Posterior | Draws,
+    response: Response,
+    *,
+    draws: int = 2048,
+    seed: int = 0,
+    requirement: Limits | dict[str, Limits] | None = None,
+    confidence: float = 0.95,
+) -> Estimate | dict[str, Estimate]:
+    """Return a response of the unit that was measured, or the chance that it keeps a requirement.
+
+    The value is the mean of the response over the posterior, its error the standard deviation, and its interval holds
+    the response with the given confidence. With a requirement it is the probability that the response lies within it,
+    with a score interval for the finite number of draws; a draw whose response fails does not keep it.
+
+    Args:
+        posterior: of `solve`, taken as normal about each mode; or the `Draws` of `sample`.
+        response: pure function of values of the prior's structure; a scalar, a dict or record of scalars, or `Outcome`.
+        draws: from the posterior.
+        seed: of the draws.
+        requirement: `Requirement`, or a dict of them by name of the response.
+        confidence: of the intervals.
+
+    Raises:
+        ValueError: a posterior without a mode, or an argument that does not fit.
+    """
+    counted("draws", draws, 2)
+    deviate_of(confidence)
+    source = posterior.posterior if isinstance(posterior, Draws) else posterior
+    if not source.peaks:
+        raise ValueError(f"posterior: status {source.status}, it must have a mode")
+    rng = np.random.default_rng(integer("seed", seed) % 2**64)
+    z = _pick(posterior, draws, rng) if isinstance(posterior, Draws) else _drawn(posterior, draws, rng)
+    values, status = respond(response, source.problem.elements.population, jnp.asarray(z.T))
+    good = succeeded(np.asarray(status))
+    required = by_response(requirement, tuple(values), Limits, "requirement")
+    estimates = {}
+    for name, numbers in values.items():
+        number = np.asarray(numbers, float)
+        limits = required.get(name)
+        if limits is not None:
+            kept = good & (number >= limits.lower) & (number <= limits.upper)
+            estimates[name] = wilson(int(kept.sum()), draws, confidence)
+        else:
+            estimates[name] = _summary(number[good & np.isfinite(number)], confidence)
+    return unwrapped(estimates)
+
+
+def _summary(numbers: np.ndarray, confidence: float) -> Estimate:
+    if numbers.size < 2:
+        return Estimate(np.nan, np.nan, np.nan, np.nan)
+    ends = np.quantile(numbers, [(1 - confidence) / 2, (1 + confidence) / 2])
+    return Estimate(float(numbers.mean()), float(numbers.std(ddof=1)), float(ends[0]), float(ends[1]))
+
+
+def _drawn(posterior: Posterior, draws: int, rng: np.random.Generator) -> np.ndarray:
+    """z (draws, n) from the normal distributions about the modes, by their weights."""
+    weights = np.array([mode.weight for mode in posterior.modes])
+    peaks = rng.choice(len(weights), draws, p=weights / weights.sum())
+    normal = rng.standard_normal((draws, posterior.peaks[0].z.size))
+    z = np.empty_like(normal)
+    for k, peak in enumerate(posterior.peaks):
+        z[peaks == k] = peak.z + normal[peaks == k] @ peak.spectrum.root.T
+    return z
+
+
+def _pick(sampled: Draws, draws: int, rng: np.random.Generator) -> np.ndarray:
+    """z (draws, n) of those sampled, each at most once where there are enough."""
+    every = sampled.z.reshape(-1, sampled.z.shape[-1])
+    return np.asarray(every[rng.choice(len(every), draws, replace=len(every) < draws)])

@@ -5,7 +5,7 @@ ISO 281 (rating, life), ISO 76 (static), ISO/TS 16281 (laminae): docs/models/lif
 
 from rvjax.life.bearing import BearingLife, bearing_life
 from rvjax.life.damage import dynamic_rating, magnitude as magnitude, static_rating
-from rvjax.life.duty import Duty, check_angles as check_angles, input_angles as input_angles
+from rvjax.life.duty import Duty, TurnPlan as TurnPlan
 from rvjax.life.machine import (
     check_alone as check_alone,
     check_places as check_places,

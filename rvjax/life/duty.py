@@ -1,7 +1,8 @@
 """Motion of the crank bearings: phases of a duty and their revolutions, sense of the cranks, angles of a turn."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
@@ -108,73 +109,60 @@ def revolutions(pins: int, speed: jax.Array, time: jax.Array) -> Revolutions:
 
 
 _GOLDEN = (np.sqrt(5) - 1) / 2
+_NEAR = 24  # samples of a crank turn from which on neighbours have similar displacements
 
 
-class Sampled(Protocol):
-    """Angles of a turn."""
+@dataclass(frozen=True)
+class TurnPlan:
+    """Static settings of a program of angles over turns of the output.
 
-    @property
-    def layout(self) -> Layout:
-        """Its pins are read."""
-
-    @property
-    def samples(self) -> int:
-        """Number of angles."""
-
-    @property
-    def crank_turns(self) -> int:
-        """In which they lie."""
-
-
-class Turning(Sampled, Protocol):
-    """Angles of a turn whose sense counts."""
-
-    @property
-    def sense(self) -> int:
-        """Of the cranks against disc and carrier, 1 or -1 for a positive turn of the output."""
-
-
-def check_angles(samples: int, turns: float, pins: int) -> int:
-    """Crank turns in some turns of the output.
-
-    Args:
-        samples: angles.
-        turns: of the output.
-        pins: of the ring.
-
-    Raises:
-        ValueError: samples < 1, or a part of a crank turn.
+    Attributes:
+        layout: of the reducer.
+        samples: number of angles.
+        crank_turns: in which they lie.
     """
-    if isinstance(samples, bool) or not isinstance(samples, (int, np.integer)) or samples < 1:
-        raise ValueError(f"samples = {samples!r}: must be an integer of at least 1")
-    crank_turns = round(float(turns) * pins) if np.isfinite(turns) else 0
-    if crank_turns < 1 or abs(float(turns) * pins - crank_turns) > 1e-6:
-        raise ValueError(
-            f"turns = {turns:g}: must be a whole number of crank turns, k / {pins} of the output with k >= 1"
-        )
-    return crank_turns
 
+    layout: Layout
+    samples: int
+    crank_turns: int
 
-def input_angles(plan: Sampled, design: PyTree, dtype: DTypeLike) -> jax.Array:
-    """Input angles over the turn of the output, (n,) rad: every crank angle once, each in a crank turn of its own.
+    @classmethod
+    def of(cls, layout: Layout, samples: int, turns: float, *more: object) -> Self:
+        """The plan of some turns of the output.
 
-    Equally spaced angles alias with the errors, whose loads have the orders of pins and teeth. Eq. 11.
+        Args:
+            layout: of the reducer.
+            samples: angles.
+            turns: of the output.
+            *more: further settings of a class.
 
-    Args:
-        plan: samples and crank turns.
-        design: its gear ratio is read.
-        dtype: of the result.
-    """
-    order = np.arange(plan.samples)
-    lap = np.floor(plan.crank_turns * ((order * _GOLDEN) % 1))
-    return jnp.asarray(design.ratio * 2 * np.pi * (lap + order / plan.samples) / plan.layout.pins, dtype)
+        Raises:
+            ValueError: samples < 1, or a part of a crank turn.
+        """
+        if isinstance(samples, bool) or not isinstance(samples, (int, np.integer)) or samples < 1:
+            raise ValueError(f"samples = {samples!r}: must be an integer of at least 1")
+        pins = layout.pins
+        crank_turns = round(float(turns) * pins) if np.isfinite(turns) else 0
+        if crank_turns < 1 or abs(float(turns) * pins - crank_turns) > 1e-6:
+            raise ValueError(
+                f"turns = {turns:g}: must be a whole number of crank turns, k / {pins} of the output with k >= 1"
+            )
+        return cls(layout, int(samples), crank_turns, *more)
 
+    @property
+    def near(self) -> bool:
+        """True if the equilibrium at the sample before is a better start than the linear step."""
+        return self.samples >= _NEAR
 
-def inner_angles(plan: Turning, dtype: DTypeLike) -> jax.Array:
-    """Angle of each crank against disc and carrier at the samples, without whole turns, (n,) rad.
+    def input_angles(self, design: PyTree, dtype: DTypeLike) -> jax.Array:
+        """Input angles over the turn of the output, (n,) rad: every crank angle once, each in a separate crank turn.
 
-    Args:
-        plan: samples and sense of the cranks.
-        dtype: of the result.
-    """
-    return jnp.asarray(plan.sense * 2 * np.pi * np.arange(plan.samples) / plan.samples, dtype)
+        Equally spaced angles alias with the errors, whose loads have the orders of pins and teeth. Eq. 11.
+
+        Args:
+            design: its gear ratio is read.
+            dtype: of the result.
+        """
+        order = np.arange(self.samples)
+        lap = np.floor(self.crank_turns * ((order * _GOLDEN) % 1))
+        return jnp.asarray(design.ratio * 2 * np.pi * (lap + order / self.samples) / self.layout.pins, dtype)

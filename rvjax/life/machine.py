@@ -5,6 +5,7 @@ Loads of the two support bearings of a crank: statics of a beam, and thrust of t
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
@@ -18,8 +19,8 @@ from rvjax._reducer.bearings import Bearings, RollerBearing
 from rvjax.errors import Errors
 from rvjax.life.bearing import Looseness, check_method, damaged
 from rvjax.life.damage import WEIBULL, Damage, basic, check_ratings, harmless, magnitude, ratings, unfit
-from rvjax.life.duty import check_angles, inner_angles, kind_of
-from rvjax.loaded import BearingForces, Layout, Read, check_input, unchecked
+from rvjax.life.duty import TurnPlan, kind_of
+from rvjax.loaded import BearingForces, Read, check_input, unchecked
 from rvjax.records import PyTree, Scalar, concrete, promote, quantity
 from rvjax.status import Gate, SolveInfo, Status, worst_of
 
@@ -68,22 +69,22 @@ def tapered(bearings: Bearings, force: jax.Array) -> Equivalent:
 
 
 PLACES = ("disc_position", "planet_position", "support_span")
-_NEAR = 24  # samples of a crank turn from which on neighbours have similar displacements
 
 
-class Plan(NamedTuple):
-    """Static settings of a program."""
+@dataclass(frozen=True)
+class Plan(TurnPlan):
+    """Static settings of a program of lives.
 
-    layout: Layout
-    samples: int
-    crank_turns: int
+    Attributes:
+        layout: of the reducer.
+        samples: number of angles.
+        crank_turns: in which they lie.
+        method: as in `rating`.
+        sense: of the cranks against disc and carrier, 1 or -1 for a positive turn of the output.
+    """
+
     method: str
-    sense: int  # of the cranks against disc and carrier, 1 or -1 for a positive turn of the output
-
-    @property
-    def near(self) -> bool:
-        """True if the equilibrium at the sample before is a better start than the linear step."""
-        return self.samples >= _NEAR
+    sense: int
 
 
 def check_plan(
@@ -127,10 +128,10 @@ def check_plan(
         raise ValueError(
             f'method = {method!r}: must be "basic" with tapered supports (Bearings.preload, support.contact_angle > 0)'
         )
-    crank_turns = check_angles(samples, turns, layout.pins)
+    plan = Plan.of(layout, samples, turns, method, kind_of(design).sense(design))
     if concrete(reliability) and not np.all((np.asarray(reliability) > 0) & (np.asarray(reliability) < 1)):
         raise ValueError(f"reliability = {quantity(reliability, '-')}: must lie between 0 and 1")
-    return Plan(layout, int(samples), crank_turns, method, kind_of(design).sense(design))
+    return plan
 
 
 def check_alone(bearings: Bearings, kind: str, where: str) -> None:
@@ -270,7 +271,8 @@ def damages(
     """
     samples, phases = forces.arm.shape[:2]
     weight = jnp.broadcast_to(share / samples, (samples, phases)).ravel()
-    angle = jnp.repeat(inner_angles(plan, forces.arm.dtype), phases)
+    turned = plan.sense * 2 * np.pi * np.arange(plan.samples) / plan.samples  # cranks, without whole turns, rad
+    angle = jnp.repeat(jnp.asarray(turned, forces.arm.dtype), phases)
     arm = forces.arm.reshape(samples * phases, *forces.arm.shape[2:])
     supports = forces.support.reshape(samples * phases, *forces.support.shape[2:])
 

@@ -21,7 +21,7 @@ from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors, read_by
 from rvjax.life.damage import METHODS, check_ratings, static_rating
-from rvjax.life.duty import Duty, input_angles, kind_of
+from rvjax.life.duty import Duty, kind_of
 from rvjax.life.machine import check_alone, check_places, check_plan
 from rvjax.life.rated import RatedTorque, rated_torque
 from rvjax.life.rating import Rating, by_forces, rating, under
@@ -39,7 +39,6 @@ from rvjax.loaded import (
     turn,
     turns_of,
     ways,
-    without_sun,
 )
 from rvjax.outputs import Cases, Description, Joint, Output, Reading, Solved, Usual, Way, condition
 from rvjax.records import PyTree
@@ -82,7 +81,7 @@ COLUMNS = {"output_torque": "N m", "output_speed": "rad/s", "time": "s"}
 
 
 @dataclass(frozen=True)
-class LifeConditions:
+class DriveLifeConditions:
     """Under which duty, and how, the bearings are rated. The turn is always a whole one of the output."""
 
     samples: int = condition(48, "input angles over the span", minimum=4, maximum=100_000)
@@ -91,7 +90,6 @@ class LifeConditions:
     )
     pin_contact: str = condition("hertz", "contact law of discs and pins", choices=CONTACTS)
     carrier: str = condition("fixed", "centre of the carrier", choices=SUPPORTS)
-    sun: str = condition("fixed", "centre of the sun", choices=SUPPORTS)
     life_method: str = condition("basic", "of a bearing life; methods differ in level", choices=METHODS)
     reliability: float = condition(
         0.9, "share of the bearings, under the loads of one unit, that reach its life", unit="-", minimum=0, maximum=1
@@ -101,38 +99,45 @@ class LifeConditions:
     duty: tuple[tuple[float, ...], ...] | None = condition(None, "phases of a cycle", columns=COLUMNS)
 
 
-def _ways(conditions: LifeConditions) -> dict[str, Any]:
+@dataclass(frozen=True)
+class LifeConditions(DriveLifeConditions):
+    """The same conditions of an RV reducer."""
+
+    sun: str = condition("fixed", "centre of the sun", choices=SUPPORTS)
+
+
+def _ways(given: DriveLifeConditions) -> dict[str, Any]:
     return dict(
-        samples=conditions.life_samples or conditions.samples,
-        method=conditions.life_method,
-        reliability=conditions.reliability,
-        **ways(conditions),
+        samples=given.life_samples or given.samples,
+        method=given.life_method,
+        reliability=given.reliability,
+        **ways(given),
     )
 
 
-def _duty(errors: RVErrors, conditions: LifeConditions) -> Duty:
+def _duty(errors: RVErrors, given: DriveLifeConditions) -> Duty:
     dtype = jnp.result_type(float, *jax.tree.leaves(errors))
-    return Duty(*(jnp.asarray(column, dtype) for column in np.asarray(conditions.duty, float).T))
+    return Duty(*(jnp.asarray(column, dtype) for column in np.asarray(given.duty, float).T))
 
 
-def rated(design: RVReducer, errors: RVErrors, conditions: LifeConditions) -> Rating:
+def rated(design: RVReducer, errors: RVErrors, given: DriveLifeConditions) -> Rating:
     """Under the duty."""
-    return rating(errors.stiffened(design), errors, _duty(errors, conditions), **_ways(conditions))
+    return rating(errors.stiffened(design), errors, _duty(errors, given), **_ways(given))
 
 
-def turned_and_rated(design: RVReducer, errors: RVErrors, conditions: PyTree) -> tuple[Revolution, Rating]:
+def turned_and_rated(design: RVReducer, errors: RVErrors, given: PyTree) -> tuple[Revolution, Rating]:
     """Along the span under the output torque, and under the duty: one loop over all equilibria, half of the program."""
-    design, duty = errors.stiffened(design), _duty(errors, conditions)
-    samples = conditions.life_samples or conditions.samples
-    contact, carrier, sun = ways(conditions).values()
+    design, duty = errors.stiffened(design), _duty(errors, given)
+    samples = given.life_samples or given.samples
+    contact, carrier, sun = ways(given).values()
     supports = contact, carrier, sun
-    plan = check_plan(design, errors, samples, 1.0, conditions.life_method, conditions.reliability, 0.0, supports)
-    phases, n = len(conditions.duty), conditions.samples
-    read = admit(plan.layout, design, errors, jnp.append(duty.output_torque, conditions.output_torque), 0.0)
-    numbers = under(duty, phases, design, read, conditions.reliability, 0.0)
+    plan = check_plan(design, errors, samples, 1.0, given.life_method, given.reliability, 0.0, supports)
+    phases, n = len(given.duty), given.samples
+    read = admit(plan.layout, design, errors, jnp.append(duty.output_torque, given.output_torque), 0.0)
+    numbers = under(duty, phases, design, read, given.reliability, 0.0)
 
-    along = 2 * np.pi * design.ratio * turns_of(design, conditions) * np.arange(n) / n
-    spread = input_angles(plan, design, read.torque.dtype)
+    along = 2 * np.pi * design.ratio * turns_of(design, given) * np.arange(n) / n
+    spread = plan.input_angles(design, read.torque.dtype)
     torques = jnp.concatenate([jnp.full(n, read.torque[-1]), jnp.repeat(read.torque[:-1], plan.samples)])
     angles = jnp.concatenate([jnp.asarray(along, read.torque.dtype), jnp.tile(spread, phases)])
     before = np.concatenate(
@@ -149,38 +154,36 @@ def turned_and_rated(design: RVReducer, errors: RVErrors, conditions: PyTree) ->
     return summary(around), by_forces(plan, numbers, read.errors, forces)
 
 
-def sought(design: RVReducer, errors: RVErrors, conditions: LifeConditions) -> RatedTorque:
+def sought(design: RVReducer, errors: RVErrors, given: DriveLifeConditions) -> RatedTorque:
     """At the rated speed, for the rated life."""
-    assert conditions.rated_life is not None and conditions.rated_speed is not None
+    assert given.rated_life is not None and given.rated_speed is not None
     return rated_torque(
-        errors.stiffened(design),
-        errors,
-        life=conditions.rated_life,
-        output_speed=conditions.rated_speed,
-        **_ways(conditions),
+        errors.stiffened(design), errors, life=given.rated_life, output_speed=given.rated_speed, **_ways(given)
     )
 
 
-def _life(rated_life: Rating, design: RVReducer, conditions: object) -> Solved:
+def _life(rated_life: Rating, design: RVReducer, given: object) -> Solved:
     return rated_life.life, rated_life.info.status
 
 
-def _arm(rated_life: Rating, design: RVReducer, conditions: object) -> Solved:
+def _arm(rated_life: Rating, design: RVReducer, given: object) -> Solved:
     return jnp.min(rated_life.arm), rated_life.info.status
 
 
-def _safety(rated_life: Rating, design: RVReducer, conditions: object) -> Solved:
+def _safety(rated_life: Rating, design: RVReducer, given: object) -> Solved:
     return rated_life.static_safety, rated_life.info.status
 
 
-def _torque(rated: RatedTorque, design: RVReducer, conditions: object) -> Solved:
+def _torque(rated: RatedTorque, design: RVReducer, given: object) -> Solved:
     return rated.torque, rated.info.status
 
 
-def _refusing(name: str, check: Callable[[LifeConditions], None]) -> Callable[[RVReducer, LifeConditions], None]:
-    """Check the parts of a design, the reliability and the bearings of the method, then run the check `check`."""
+def _refusing(
+    name: str, own: Callable[[DriveLifeConditions], None]
+) -> Callable[[RVReducer, DriveLifeConditions], None]:
+    """Check the parts of a design, the reliability and the bearings of the method, then run the check `own`."""
 
-    def refuse(design: RVReducer, conditions: LifeConditions) -> None:
+    def refuse(design: RVReducer, given: DriveLifeConditions) -> None:
         for part in ("stiffness", "contact"):
             if getattr(design, part) is None:
                 cls = part_class(type(design), part)
@@ -197,23 +200,23 @@ def _refusing(name: str, check: Callable[[LifeConditions], None]) -> Callable[[R
         if not kind_of(design).supports:
             check_alone(design.bearings, type(design).__name__, "design.bearings")
         check_places(design.bearings, design.counts, "design.bearings")
-        if not 0 < conditions.reliability < 1:
-            raise ValueError(f"conditions.reliability = {conditions.reliability:g}: must lie between 0 and 1")
-        if design.bearings.preload is not None and conditions.life_method != "basic":
+        if not 0 < given.reliability < 1:
+            raise ValueError(f"conditions.reliability = {given.reliability:g}: must lie between 0 and 1")
+        if design.bearings.preload is not None and given.life_method != "basic":
             raise ValueError(
-                f'conditions.life_method = "{conditions.life_method}": must be "basic" with tapered supports '
+                f'conditions.life_method = "{given.life_method}": must be "basic" with tapered supports '
                 f"(design.bearings.preload)"
             )
-        check(conditions)
+        own(given)
 
     return refuse
 
 
-def _with_duty(conditions: LifeConditions) -> None:
-    if conditions.duty is None:
+def _with_duty(given: DriveLifeConditions) -> None:
+    if given.duty is None:
         told = ", ".join(f"{name} in {unit}" for name, unit in COLUMNS.items())
         raise ValueError(f"[[duty]] is missing: life and static safety need at least one phase, with {told}")
-    times = [phase[2] for phase in conditions.duty]
+    times = [phase[2] for phase in given.duty]
     for number, time in enumerate(times):
         if time < 0:
             raise ValueError(f"duty[{number}].time = {time:g} s: must not be negative")
@@ -221,27 +224,27 @@ def _with_duty(conditions: LifeConditions) -> None:
         raise ValueError("duty.time = 0 s in all phases: must have a positive sum")
 
 
-def _moving(conditions: LifeConditions) -> None:
-    _with_duty(conditions)
-    assert conditions.duty is not None
-    if not any(speed and time for _, speed, time in conditions.duty):
+def _moving(given: DriveLifeConditions) -> None:
+    _with_duty(given)
+    assert given.duty is not None
+    if not any(speed and time for _, speed, time in given.duty):
         raise ValueError(
             "duty.output_speed = 0 rad/s in all phases that last: must not be 0 in all of them; at rest no bearing "
             "has a life"
         )
 
 
-def _with_life(conditions: LifeConditions) -> None:
-    assert conditions.rated_life is not None
-    if conditions.rated_life <= 0:
-        raise ValueError(f"conditions.rated_life = {conditions.rated_life:g} s: must be positive")
-    if conditions.rated_speed == 0:
+def _with_life(given: DriveLifeConditions) -> None:
+    assert given.rated_life is not None
+    if given.rated_life <= 0:
+        raise ValueError(f"conditions.rated_life = {given.rated_life:g} s: must be positive")
+    if given.rated_speed == 0:
         raise ValueError("conditions.rated_speed = 0 rad/s: must not be 0; at rest no bearing has a life")
 
 
 def _of_duty(name: str, unit: str, meaning: str, take: Callable[..., Solved], read_in: str | None = None) -> Output:
-    check = _with_duty if name == "static_safety" else _moving
-    return Output(unit, meaning, Reading((rated,), take), (), read_in, refuse=_refusing(name, check))
+    own = _with_duty if name == "static_safety" else _moving
+    return Output(unit, meaning, Reading((rated,), take), (), read_in, refuse=_refusing(name, own))
 
 
 def _static(design: RVReducer) -> tuple[float, float] | None:
@@ -311,7 +314,7 @@ OTHERS = (
     dataclasses.replace(
         DESCRIPTION,
         design=CycloidalReducer,
-        conditions=without_sun("DriveConditions", LifeConditions, {}),
+        conditions=DriveLifeConditions,
         outputs=_of_eccentrics(),
         cases=None,
         unknown="bearing life (plane model): tilt and edge load (1 mrad costs a quarter of the life), lubricant and "

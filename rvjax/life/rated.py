@@ -22,7 +22,7 @@ from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
 from rvjax.life.damage import LIFE, ratings
-from rvjax.life.duty import KINDS, input_angles, kind_of
+from rvjax.life.duty import KINDS, kind_of
 from rvjax.life.machine import Plan, check_plan, damages, entered
 from rvjax.loaded import Read, admit, bearing_forces
 from rvjax.records import PyTree, Record, Scalar, concrete, field, quantity, record
@@ -203,7 +203,7 @@ def _missing(plan: Plan, given: Given, x: jax.Array, start: jax.Array) -> Evalua
     refused = Gate(((given.sound < 0.5, Status.NONFINITE),))
     torque = jnp.exp(x)[None]
     read = Read(given.design, given.errors, given.eccentricity, torque, jnp.zeros_like(x), refused)
-    angles = input_angles(plan, given.design, x.dtype)
+    angles = plan.input_angles(given.design, x.dtype)
     forces = bearing_forces(plan.layout, read, torque, angles, start, near=plan.near)
     damage = damages(plan, given.bearings, given.errors, forces, jnp.ones_like(torque), given.tilt)
     share = damage.whole * given.budget / 1e6  # of the life that the wanted revolutions take

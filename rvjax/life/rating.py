@@ -15,7 +15,7 @@ from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
 from rvjax.life.bearing import inverse
 from rvjax.life.damage import WEIBULL
-from rvjax.life.duty import KINDS, Duty, check_phases, input_angles, kind_of, revolutions
+from rvjax.life.duty import KINDS, Duty, check_phases, kind_of, revolutions
 from rvjax.life.machine import Entered, Plan, check_plan, damages, entered
 from rvjax.loaded import BearingForces, Read, admit, bearing_forces, check_input
 from rvjax.records import PyTree, Record, Scalar, field, record
@@ -91,7 +91,7 @@ def _rating(
 ) -> Rating:
     read = admit(plan.layout, design, errors, jnp.broadcast_to(duty.output_torque, (phases,)), 0.0)
     given = under(duty, phases, design, read, reliability, tilt)
-    angles = input_angles(plan, design, read.torque.dtype)
+    angles = plan.input_angles(design, read.torque.dtype)
     forces = bearing_forces(plan.layout, read, read.torque, angles, near=plan.near)
     return by_forces(plan, given, read.errors, forces)
 

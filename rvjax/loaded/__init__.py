@@ -26,7 +26,6 @@ from rvjax.loaded.observation import (
     turn as turn,
     turns_of as turns_of,
     ways as ways,
-    without_sun as without_sun,
 )
 from rvjax.loaded.revolution import (
     Clearance,

@@ -6,10 +6,9 @@ elements that is cheaper than from one angle to the next. Every observation is l
 that each equilibrium is solved for its slopes once, however many numbers are observed.
 """
 
-import dataclasses
 import functools
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,13 +34,13 @@ SPANS = ("crank_turn", "output_turn")
 
 
 @dataclass(frozen=True)
-class LoadedConditions:
-    """Operating conditions of a whole reducer and of its test bench; None only where no output needs the value."""
+class DriveConditions:
+    """Operating conditions of a single-stage drive and its test bench; None only where no output needs the value."""
 
-    output_torque: float = condition(0.0, "torque of the discs on the carrier", unit="N m", torque=True)
-    second_torque: float = condition(None, "of the discs on the carrier, the second one", unit="N m")
+    output_torque: float = condition(0.0, "torque of the discs on the output", unit="N m", torque=True)
+    second_torque: float = condition(None, "of the discs on the output, the second one", unit="N m")
     rated_torque: float = condition(None, "of which a test bench takes shares", unit="N m")
-    input_angle: float = condition(0.0, "of the sun, at which the bench twists the output", unit="rad")
+    input_angle: float = condition(0.0, "of the shaft, at which the bench twists the output", unit="rad")
     probe_angles: int = condition(
         1, "input angles of the bench, equally spaced over the span from the input angle on", minimum=1, maximum=1000
     )
@@ -50,76 +49,51 @@ class LoadedConditions:
     order: int = condition(None, "periods in one turn of the output", minimum=1, maximum=50_000)
     pin_contact: str = condition("hertz", "contact law of discs and pins", choices=CONTACTS)
     carrier: str = condition("fixed", "centre of the carrier", choices=SUPPORTS)
+
+
+@dataclass(frozen=True)
+class LoadedConditions(DriveConditions):
+    """Operating conditions of an RV reducer: the sun is its input, the carrier its output."""
+
+    output_torque: float = condition(0.0, "torque of the discs on the carrier", unit="N m", torque=True)
+    second_torque: float = condition(None, "of the discs on the carrier, the second one", unit="N m")
+    input_angle: float = condition(0.0, "of the sun, at which the bench twists the output", unit="rad")
     sun: str = condition("fixed", "centre of the sun", choices=SUPPORTS)
 
 
-def without_sun(name: str, conditions: type, said: Mapping[str, str]) -> Any:
-    """Class of the same conditions of a single-stage drive: without a first stage.
-
-    Args:
-        name: of the class.
-        conditions: class of those of an RV reducer.
-        said: meanings of fields that differ.
-    """
-    fields: list[Any] = [
-        (f.name, Any, dataclasses.field(default=f.default, metadata={**f.metadata, "meaning": meaning}))
-        for f in dataclasses.fields(conditions)
-        if f.name != "sun"
-        for meaning in (said.get(f.name, f.metadata["meaning"]),)
-    ]
-    return dataclasses.make_dataclass(name, fields, frozen=True)
-
-
-DriveConditions = without_sun(
-    "DriveConditions",
-    LoadedConditions,
-    {
-        "output_torque": "torque of the discs on the output",
-        "second_torque": "of the discs on the output, the second one",
-        "input_angle": "of the shaft, at which the bench twists the output",
-    },
-)
-"""Conditions of a single-stage drive."""
-
-
-def ways(conditions: Any) -> dict[str, str]:
+def ways(given: Any) -> dict[str, str]:
     """Methods of the equilibrium, as its keyword arguments."""
-    return dict(contact=conditions.pin_contact, carrier=conditions.carrier, sun=getattr(conditions, "sun", "fixed"))
+    return dict(contact=given.pin_contact, carrier=given.carrier, sun=getattr(given, "sun", "fixed"))
 
 
 RATED, HALF, SLIGHT, PROBE = SHARES
 
 
-def turns_of(design: RVReducer, conditions: LoadedConditions) -> float:
+def turns_of(design: RVReducer, given: LoadedConditions) -> float:
     """Turns of the output in the span."""
-    return 1.0 if conditions.span == "output_turn" else 1 / design.cycloid.pin_count
+    return 1.0 if given.span == "output_turn" else 1 / design.cycloid.pin_count
 
 
-def _along(design: RVReducer, errors: RVErrors, conditions: LoadedConditions, torque: float) -> Revolution:
-    turns = turns_of(design, conditions)
+def _along(design: RVReducer, errors: RVErrors, given: LoadedConditions, torque: float) -> Revolution:
+    turns = turns_of(design, given)
     return revolution(
-        errors.stiffened(design),
-        errors,
-        output_torque=torque,
-        turns=turns,
-        samples=conditions.samples,
-        **ways(conditions),
+        errors.stiffened(design), errors, output_torque=torque, turns=turns, samples=given.samples, **ways(given)
     )
 
 
-def turn(design: RVReducer, errors: RVErrors, conditions: LoadedConditions) -> Revolution:
+def turn(design: RVReducer, errors: RVErrors, given: LoadedConditions) -> Revolution:
     """Along the span under the output torque."""
-    return _along(design, errors, conditions, conditions.output_torque)
+    return _along(design, errors, given, given.output_torque)
 
 
-def second_turn(design: RVReducer, errors: RVErrors, conditions: LoadedConditions) -> Revolution:
+def second_turn(design: RVReducer, errors: RVErrors, given: LoadedConditions) -> Revolution:
     """Along the span under the second torque."""
-    return _along(design, errors, conditions, conditions.second_torque)
+    return _along(design, errors, given, given.second_torque)
 
 
-def unloaded_turn(design: RVReducer, errors: RVErrors, conditions: LoadedConditions) -> Revolution:
+def unloaded_turn(design: RVReducer, errors: RVErrors, given: LoadedConditions) -> Revolution:
     """Along the span at the probe torque: the limit of no load."""
-    return _along(design, errors, conditions, PROBE * conditions.rated_torque)
+    return _along(design, errors, given, PROBE * given.rated_torque)
 
 
 HEAD_PARTS = {"ring": 2, "tilt": 1, "dent": 3}
@@ -230,7 +204,7 @@ def _errors_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[jax.
 _errors.defjvp(_errors_jvp, symbolic_zeros=True)
 
 
-def _count(design: PyTree, conditions: LoadedConditions, orders: tuple[int, ...], alike: bool) -> int:
+def _count(design: PyTree, given: LoadedConditions, orders: tuple[int, ...], alike: bool) -> int:
     """Angles of a period: so many that no order of perfect parts that they do not resolve looks like an observed one.
 
     The mean is observed, too.
@@ -242,15 +216,15 @@ def _count(design: PyTree, conditions: LoadedConditions, orders: tuple[int, ...]
     def taken(count: int) -> bool:
         return any(abs(k - count * round(k / count)) in seen for k in passing if 2 * k >= count)
 
-    least = conditions.samples if alike else max(conditions.samples, 4 * max(orders))
+    least = given.samples if alike else max(given.samples, 4 * max(orders))
     return next(count for count in itertools.count(least) if not taken(count))
 
 
-def _parts(design: PyTree, conditions: LoadedConditions, orders: tuple[int, ...], alike: bool) -> int:
+def _parts(design: PyTree, given: LoadedConditions, orders: tuple[int, ...], alike: bool) -> int:
     """Parts of a turn of the output: so many that what one takes for another order is far from those of the pins."""
     if alike:
         return 1
-    pins, count = design.cycloid.pin_count, _count(design, conditions, orders, alike)
+    pins, count = design.cycloid.pin_count, _count(design, given, orders, alike)
 
     def distance(parts: int) -> int:
         """Least distance of a mistaken order from a multiple of the pins."""
@@ -264,7 +238,7 @@ def _parts(design: PyTree, conditions: LoadedConditions, orders: tuple[int, ...]
 def _spectrum(
     design: PyTree,
     errors: PyTree,
-    conditions: LoadedConditions,
+    given: LoadedConditions,
     torques: Array,
     orders: tuple[int, ...],
     alike: bool,
@@ -272,11 +246,11 @@ def _spectrum(
 ) -> Spectrum:
     """One turn of the cranks where all are alike, else a turn of the output."""
     step = design.cycloid.pin_count if alike else 1
-    count, (number, parts) = _count(design, conditions, orders, alike), part
+    count, (number, parts) = _count(design, given, orders, alike), part
     stiff, torques = errors.stiffened(design), jnp.asarray(torques)
     numbers = jnp.asarray(np.arange(0, count, parts), torques.dtype) + jnp.asarray(number, torques.dtype)
     angles = 2 * jnp.pi * design.ratio / step / count * numbers
-    error = _errors(check_input(stiff, errors, **ways(conditions)), stiff, errors, torques, angles)
+    error = _errors(check_input(stiff, errors, **ways(given)), stiff, errors, torques, angles)
     turned = np.outer(np.arange(count), [k // step for k in orders]) * 2 * np.pi / count
     every = np.where([k % step == 0 for k in orders], 2 * parts / count * np.exp(-1j * turned), 0)
     waves = jnp.asarray(every.reshape(-1, parts, len(orders)))[:, number]
@@ -284,11 +258,11 @@ def _spectrum(
     return jnp.mean(error, axis=1), jax.lax.complex(*real_imaginary)
 
 
-def _angle(design: PyTree, errors: PyTree, conditions: LoadedConditions, torques: Array) -> Array:
+def _angle(design: PyTree, errors: PyTree, given: LoadedConditions, torques: Array) -> Array:
     """Output angle at each torque, input held."""
-    angle = jnp.asarray(conditions.input_angle, jnp.result_type(float))[None]
+    angle = jnp.asarray(given.input_angle, jnp.result_type(float))[None]
     stiff = errors.stiffened(design)
-    return _errors(check_input(stiff, errors, **ways(conditions)), stiff, errors, jnp.asarray(torques), angle)[:, 0]
+    return _errors(check_input(stiff, errors, **ways(given)), stiff, errors, jnp.asarray(torques), angle)[:, 0]
 
 
 CURVE = Observation(

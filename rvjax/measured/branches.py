@@ -5,8 +5,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rvjax.measured.cycle import GRID as GRID, LEAST, Read, continues, read_cycle, step_of, together, torque_width
-from rvjax.measured.local import Samples
+from rvjax.measured.cycle import (
+    GRID as GRID,
+    LEAST,
+    Read,
+    Samples,
+    continues,
+    read_cycle,
+    step_of,
+    together,
+    torque_width,
+)
 from rvjax.measured.reversals import REST, Cycle, Cycles, cycles
 from rvjax.units import arcmin
 
@@ -79,23 +88,23 @@ def branches(where: str, torque: np.ndarray, angle: np.ndarray) -> Branches:
     span = np.ptp(torque)
     if len(torque) < 4 * GRID or span == 0:
         raise ValueError(f"{where} of {len(torque)} samples over {span:.4g} N m: needs {4 * GRID} samples, both ways")
-    found, step = cycles(torque), (step_of(angle), step_of(torque))
+    record, step = cycles(torque), (step_of(angle), step_of(torque))
     try:
-        return _read_all(where, found, torque, angle, step)
+        return _read_all(where, record, torque, angle, step)
     except ValueError:
-        if len(found.used) < 2:
+        if len(record.used) < 2:
             raise
-    as_one = together(found, torque, angle, step)  # few samples on each branch, and enough on all of them
-    return _compared(where, [as_one], found, torque, angle)
+    as_one = together(record, torque, angle, step)  # few samples on each branch, and enough on all of them
+    return _compared(where, [as_one], record, torque, angle)
 
 
-def _read_all(where: str, found: Cycles, torque: np.ndarray, angle: np.ndarray, step: tuple[float, float]) -> Branches:
+def _read_all(where: str, cycles: Cycles, torque: np.ndarray, angle: np.ndarray, step: tuple[float, float]) -> Branches:
     """Read each cycle of the largest amplitude; where the record has been started again, its longer part."""
-    reads = [read_cycle(where, cycle, torque, angle, found.noise, step) for cycle in found.used]
-    if reads and reads[0].cycle.joined and not continues(reads[0], torque, angle, found.noise, step):
+    reads = [read_cycle(where, cycle, torque, angle, cycles.noise, step) for cycle in cycles.used]
+    if reads and reads[0].cycle.joined and not continues(reads[0], torque, angle, cycles.noise, step):
         reads = []
-    if not reads and found.part is not None:
-        reads = [read_cycle(where, found.part, torque, angle, found.noise, step)]
+    if not reads and cycles.part is not None:
+        reads = [read_cycle(where, cycles.part, torque, angle, cycles.noise, step)]
     if not reads:
         raise ValueError(
             f"{where}: only one branch behind the first; the torque has to rise and to fall once more, "
@@ -103,12 +112,12 @@ def _read_all(where: str, found: Cycles, torque: np.ndarray, angle: np.ndarray, 
         )
     jump, few = reads[0].jump, min(len(reads[0].up.torque), len(reads[0].down.torque)) < 2 * GRID
     if len(reads) > 1 and few and not any(read.open or read.jump is not None for read in reads):
-        reads = [together(found, torque, angle, step)]
+        reads = [together(cycles, torque, angle, step)]
     if jump is None:
-        return _compared(where, reads, found, torque, angle)
+        return _compared(where, reads, cycles, torque, angle)
     try:
         if not reads[0].open:
-            return _compared(where, reads, found, torque, angle)
+            return _compared(where, reads, cycles, torque, angle)
     except ValueError:  # too few torques are left of the branch
         pass
     first = 0 if 2 * jump >= len(torque) else jump + 1  # the longer part, which has one zero of the angle
@@ -117,7 +126,7 @@ def _read_all(where: str, found: Cycles, torque: np.ndarray, angle: np.ndarray, 
     return replace(part, part=(first + part.part[0], first + part.part[1]))
 
 
-def _compared(where: str, reads: list[Read], found: Cycles, torque: np.ndarray, angle: np.ndarray) -> Branches:
+def _compared(where: str, reads: list[Read], cycles: Cycles, torque: np.ndarray, angle: np.ndarray) -> Branches:
     """Mean of the last cycles that agree."""
     last = reads[0]
     for read in reads:
@@ -138,7 +147,9 @@ def _compared(where: str, reads: list[Read], found: Cycles, torque: np.ndarray, 
     used = tuple(reads[:count])
     midline, width, sd = _mean_of(used, np.array(rows[:count]))
     clipped = _clipped(last.cycle, torque, angle)
-    return Branches(grid, midline, width, sd, bool(clipped), used, found, (low, high), reach, clipped, (0, len(torque)))
+    return Branches(
+        grid, midline, width, sd, bool(clipped), used, cycles, (low, high), reach, clipped, (0, len(torque))
+    )
 
 
 def _pair(read: Read, at: float, half: float) -> tuple[float, float, float, float, float]:
@@ -208,7 +219,7 @@ def _covered(where: str, branch: Samples, grid: np.ndarray) -> None:
 
 def _clipped(cycle: Cycle, torque: np.ndarray, angle: np.ndarray) -> tuple[float, ...]:
     """Torques where the sensor has hit its end: the angle goes on while the torque rests, N m."""
-    found = []
+    torques = []
     paths = (cycle.before, cycle.first, cycle.second)
     length = cycle.span[1] - cycle.span[0]
     for path, (first, last) in zip(paths, cycle.rests):
@@ -224,5 +235,5 @@ def _clipped(cycle: Cycle, torque: np.ndarray, angle: np.ndarray) -> tuple[float
         third = len(held) // 3
         moved = np.mean(angle[held[third : len(held) - third]]) - angle[back[-1]]
         if speed != 0 and moved / speed > MOVES * len(held):
-            found.append(float(extreme))
-    return tuple(dict.fromkeys(found))
+            torques.append(float(extreme))
+    return tuple(dict.fromkeys(torques))

@@ -13,12 +13,8 @@ from rvjax._ground import columns as cells
 from rvjax._ground.cells import is_number, listed
 from rvjax._ground.columns import Table
 from rvjax._ground.encoding import guessed
-from rvjax.measured.conditions import DIRECTIONS, Conditions
-from rvjax.measured.curve import Curve
-from rvjax.measured.kind import Item, Kind
-from rvjax.measured.loop import Hysteresis
-from rvjax.measured.run import Run
-from rvjax.measured.tones import Frequencies
+from rvjax.measured.kind import DIRECTIONS, Conditions, Item, Kind, Run
+from rvjax.measured.kinds import Curve, Frequencies, Hysteresis
 from rvjax.measured.wide import is_column, read_wide, side_of
 from rvjax.units import KNOWN, recognised
 

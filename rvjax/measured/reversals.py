@@ -145,19 +145,19 @@ def _mean(values: np.ndarray, window: int) -> np.ndarray:
 
 def _turns(torque: np.ndarray, least: float) -> list[int]:
     """Start, reversals and end: samples from which the torque goes back by more than `least`."""
-    found, top, bottom, way = [], 0, 0, 0
+    turns, top, bottom, way = [], 0, 0, 0
     for k, value in enumerate(torque):
         if value > torque[top]:
             top = k
         if value < torque[bottom]:
             bottom = k
         if way >= 0 and torque[top] - value > least:
-            found.append(top)
+            turns.append(top)
             bottom, way = k, -1
         elif way <= 0 and value - torque[bottom] > least:
-            found.append(bottom)
+            turns.append(bottom)
             top, way = k, 1
-    return [*found, top if way > 0 else bottom] if found else []
+    return [*turns, top if way > 0 else bottom] if turns else []
 
 
 def _rest(torque: np.ndarray, turns: list[int], k: int, within: float) -> tuple[int, int]:

@@ -105,14 +105,14 @@ def unwrapped(angle: np.ndarray) -> np.ndarray:
     Args:
         angle: in the order of time, rad (n,).
     """
-    found = np.unwrap(angle)
-    steps = np.diff(found)
+    path = np.unwrap(angle)
+    steps = np.diff(path)
     if len(steps) < 2 or np.median(np.abs(steps)) > math.pi / 4:
-        return found
+        return path
     across = np.diff(np.unwrap(np.stack([angle[:-2], angle[2:]]), axis=0), axis=0)[0]
     added = np.round((steps[:-1] + steps[1:] - across) / (2 * math.pi))
     steps[1:] -= np.where(np.abs(steps[1:]) > math.pi / 2, added, 0.0) * 2 * math.pi
-    return np.concatenate([found[:1], found[0] + np.cumsum(steps)]) if np.any(added) else found
+    return np.concatenate([path[:1], path[0] + np.cumsum(steps)]) if np.any(added) else path
 
 
 def without_spikes(values: np.ndarray) -> np.ndarray:
@@ -123,11 +123,11 @@ def without_spikes(values: np.ndarray) -> np.ndarray:
     """
     if len(values) < 3:
         return values
-    found = values.copy()
-    found[1:-1] = np.median([values[:-2], values[1:-1], values[2:]], axis=0)
+    medians = values.copy()
+    medians[1:-1] = np.median([values[:-2], values[1:-1], values[2:]], axis=0)
     for end, one, two in ((0, 1, 2), (-1, -2, -3)):
-        found[end] = np.median([values[end], found[one], 3 * found[one] - 2 * found[two]])
-    return found
+        medians[end] = np.median([values[end], medians[one], 3 * medians[one] - 2 * medians[two]])
+    return medians
 
 
 def places(angle: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -199,8 +199,8 @@ def spectrum(angle: np.ndarray, value: np.ndarray, highest: float) -> tuple[np.n
     part = place - low
     held = np.bincount(low, value * (1 - part), bins + 2) + np.bincount(low + 1, value * part, bins + 2)
     length = 1 << math.ceil(math.log2(4 * bins))
-    found = np.fft.rfft(held, length)
-    order = np.arange(len(found)) * (2 * math.pi / (length * width))
+    sums = np.fft.rfft(held, length)
+    order = np.arange(len(sums)) * (2 * math.pi / (length * width))
     kept = order <= highest
     smooth = np.sinc(order[kept] * width / (2 * math.pi)) ** 2  # of a linear share between two bins
-    return order[kept], found[kept] * np.exp(-1j * order[kept] * start) / smooth
+    return order[kept], sums[kept] * np.exp(-1j * order[kept] * start) / smooth

@@ -31,12 +31,14 @@ from rvjax._jax.sizes import LEFT_OPEN
 from rvjax.mesh_force import laws, line_contact, safe
 from rvjax.mesh_force.geometry import Case, all_rollers, lever
 from rvjax.mesh_force.laws import Compliance
-from rvjax.records import PyTree
 from rvjax.status import window
 
 _LINEAR_STEPS = 8  # at most; 3 to 5 are usual
 _GUESS_STEPS = 8  # at most; 1 or 2 are usual, 4 for "palmgren"
 _NEWTON_STEPS = 4  # at most; 1 is usual
+
+_Three = tuple[jax.Array, jax.Array, jax.Array]
+_Newton = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]
 
 
 class Solution(NamedTuple):
@@ -144,11 +146,11 @@ def _linear(rows: _Rows, torque: jax.Array) -> tuple[jax.Array, jax.Array]:
     def moves(windup: jax.Array, last: jax.Array) -> jax.Array:
         return jnp.abs(windup - last) > 1e-6 * jnp.abs(windup)
 
-    def running(state: PyTree) -> jax.Array:
+    def running(state: _Three) -> jax.Array:
         windup, last, steps = state
         return jnp.any(moves(windup, last)) & (steps < _LINEAR_STEPS)
 
-    def step(state: PyTree) -> PyTree:
+    def step(state: _Three) -> _Three:
         windup, last, steps = state
 
         def loaded(row: _Rows, _: int) -> tuple[jax.Array, jax.Array]:
@@ -193,11 +195,11 @@ def _guess(law: str, rows: _Rows, torque: jax.Array, windup: jax.Array) -> tuple
     # `_newton` squares what is left. For "hertz" one step leaves little; for "palmgren" the inverse is exact.
     at_most = {"linear": 0, "hertz": 1, "palmgren": _GUESS_STEPS}[law]
 
-    def running(state: PyTree) -> jax.Array:
+    def running(state: _Three) -> jax.Array:
         _, open_, steps = state
         return jnp.any(open_) & (steps < at_most)
 
-    def step(state: PyTree) -> PyTree:
+    def step(state: _Three) -> _Three:
         windup, open_, steps = state
         stored = _each(law, rows, windup[None] * rows.arm + rows.gap)
 
@@ -220,11 +222,11 @@ def _guess(law: str, rows: _Rows, torque: jax.Array, windup: jax.Array) -> tuple
 def _newton(law: str, rows: _Rows, torque: jax.Array, windup: jax.Array) -> tuple[jax.Array, ...]:
     """Start, shift from there, loads, residual, whether they are the solution, steps: `_newton_step` while it helps."""
 
-    def running(state: PyTree) -> jax.Array:
+    def running(state: _Newton) -> jax.Array:
         *_, fine, steps = state
         return jnp.any(~fine) & (steps < _NEWTON_STEPS)
 
-    def step(state: PyTree) -> PyTree:
+    def step(state: _Newton) -> _Newton:
         *before, fine, steps = state
         start = before[0] + before[1]
         x, load, residual, now = _newton_step(law, rows, torque, start, steps == 0, fine, before[2])
@@ -301,7 +303,7 @@ def _left_open(
     """`solution` with the cases `todo` solved the safe way, a chunk of them at a time."""
     size = len(todo)
 
-    def some(state: PyTree) -> PyTree:
+    def some(state: tuple[jax.Array, dict[str, jax.Array]]) -> tuple[jax.Array, dict[str, jax.Array]]:
         todo, solution = state
         (lanes,) = jnp.nonzero(todo, size=min(LEFT_OPEN, size), fill_value=size)
         taken = jax.tree.map(lambda leaf: leaf if leaf.shape[-1] == 1 else leaf[..., lanes], rows)

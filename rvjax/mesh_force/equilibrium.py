@@ -92,7 +92,7 @@ def equilibrium(law: str, teeth: int, case: Case) -> Solution:
 
 
 @equilibrium.defjvp
-def _equilibrium_jvp(law: str, teeth: int, primals: PyTree, tangents: PyTree) -> PyTree:
+def _equilibrium_jvp(law: str, teeth: int, primals: tuple[Case], tangents: tuple[Case]) -> tuple[Solution, Solution]:
     solution = equilibrium(law, teeth, *primals)
     return solution, jax.custom_derivatives.zero_from_primal(solution)
 

@@ -14,6 +14,7 @@ from rvjax.population.estimates import (
     unknown_share as unknown_share,
     wilson as wilson,
 )
+from rvjax.population.grades import GRADES as GRADES, it_width
 from rvjax.population.measured import MeasuredColumn, MeasuredParts, measured
 from rvjax.population.population import (
     TURN as TURN,
@@ -41,9 +42,8 @@ from rvjax.population.sampling import (
 from rvjax.population.tolerance import (
     COMMON as COMMON,
     DISTRIBUTIONS as DISTRIBUTIONS,
-    GRADES as GRADES,
+    Distribution as Distribution,
     Tolerance,
-    it_width,
 )
 
 __all__ = [

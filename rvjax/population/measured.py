@@ -134,7 +134,7 @@ def measured(
     columns: Mapping[str, str | Mapping[str, str]] | None = None,
     *,
     design: Design | None = None,
-    limits: PyTree = None,
+    limits: object = None,
     confidence: float = 0.95,
     encoding: str | None = None,
 ) -> MeasuredParts:

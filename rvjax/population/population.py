@@ -98,7 +98,7 @@ class Population(Record):
     values: Any = field("-", "numbers of the design by name, None where it has none free", kind="record", default=None)
 
     @classmethod
-    def of(cls, tolerances: PyTree, correlation: Correlation = None) -> Self:
+    def of(cls, tolerances: object, correlation: Correlation = None) -> Self:
         """Return a population from what users give: checked, and a constant 0 as None, which costs nothing.
 
         Raises:
@@ -177,7 +177,7 @@ class Population(Record):
         """The error structure of units from z (numbers, *batch); inactive fields are plain 0.0 and cost nothing."""
         return self.fill(self.deviations(z))
 
-    def fill(self, values: Mapping[str, PyTree]) -> PyTree:
+    def fill(self, values: Mapping[str, object]) -> PyTree:
         """Return the error structure with `values` in the active fields, and with it the numbers of the design."""
         errors = self._with(values, absent=0.0)
         return errors if self.values is None else Given(errors, self.values)
@@ -190,7 +190,7 @@ class Population(Record):
         """Return the same population with other tolerances in some of its active fields."""
         return self.replace(tolerances=self._with(changed, absent=None))
 
-    def _with(self, values: Mapping[str, PyTree], *, absent: float | None) -> PyTree:
+    def _with(self, values: Mapping[str, object], *, absent: float | None) -> PyTree:
         return self._flat[1].unflatten(
             [values.get(name, absent if leaf is None else leaf) for name, leaf in self._leaves.items()]
         )

@@ -120,7 +120,7 @@ def check_method(method: str) -> None:
 
 @checked
 def sample(
-    tolerances: PyTree, index: Scalar, *, seed: int, method: str = "random", correlation: Correlation = None
+    tolerances: object, index: Scalar, *, seed: int, method: str = "random", correlation: Correlation = None
 ) -> PyTree:
     """Return the errors of unit number `index`; vmaps over `index` for random units.
 

@@ -1,9 +1,10 @@
-"""`Tolerance`: limits of one manufacturing error and the distribution that parts follow between them.
+"""`Tolerance`: limits of one manufacturing error; `Distribution`: the base class of what parts follow between them.
 
 Every variate is a map e = q(Phi(z)) of standard normal numbers z, which belong to the sample while
 the tolerance only shapes and scales them: the same z serve every tolerance (common random numbers).
 
-Standard tolerance grades of ISO 286-1: the width of a tolerance zone by grade and nominal size.
+A new distribution is one class: `@record class Mine(Distribution)` with `name`, its own parameters as fields, `deviate`
+and `moments`. Tolerances, studies, saved files and checkpoints take it from `DISTRIBUTIONS`.
 """
 
 import dataclasses
@@ -11,62 +12,145 @@ import hashlib
 import math
 import operator
 import warnings
-from typing import Any, Self, cast
+from collections.abc import Mapping
+from typing import Any, ClassVar, Self, cast
 
 import jax
 import numpy as np
 
+from rvjax._ground.choices import meant
 from rvjax._jax.checks import checked
-from rvjax.population.distribution import DISTRIBUTIONS, Distribution, Moments, bad, distribution_of
-from rvjax.population.distributions import classic, empirical, spectrum, von_mises
-from rvjax.records import Array, Record, Scalar, concrete, field, quantity, record, text
-from rvjax.units import mm, um
+from rvjax.population.grades import it_width
+from rvjax.records import IN_ERROR_UNIT, Array, Record, Scalar, concrete, field, record, text
+from rvjax.units import parse
 
-GRADES = tuple(f"IT{number}" for number in ("01", "0", *range(1, 12)))
-"""Finest first."""
+Moments = tuple[Any, Any, Any, Any]
+"""Mean, variance, third and fourth central moment of an error: floats, or arrays of the shape of its field."""
 
-# ISO 286-1, Table 1, widths in um. The standard rounds its own formula unevenly, so the table counts.
-_WIDTHS = {  # sizes up to and including, in mm
-    3: (0.3, 0.5, 0.8, 1.2, 2, 3, 4, 6, 10, 14, 25, 40, 60),
-    6: (0.4, 0.6, 1, 1.5, 2.5, 4, 5, 8, 12, 18, 30, 48, 75),
-    10: (0.4, 0.6, 1, 1.5, 2.5, 4, 6, 9, 15, 22, 36, 58, 90),
-    18: (0.5, 0.8, 1.2, 2, 3, 5, 8, 11, 18, 27, 43, 70, 110),
-    30: (0.6, 1, 1.5, 2.5, 4, 6, 9, 13, 21, 33, 52, 84, 130),
-    50: (0.6, 1, 1.5, 2.5, 4, 7, 11, 16, 25, 39, 62, 100, 160),
-    80: (0.8, 1.2, 2, 3, 5, 8, 13, 19, 30, 46, 74, 120, 190),
-    120: (1, 1.5, 2.5, 4, 6, 10, 15, 22, 35, 54, 87, 140, 220),
-    180: (1.2, 2, 3.5, 5, 8, 12, 18, 25, 40, 63, 100, 160, 250),
-    250: (2, 3, 4.5, 7, 10, 14, 20, 29, 46, 72, 115, 185, 290),
-    315: (2.5, 4, 6, 8, 12, 16, 23, 32, 52, 81, 130, 210, 320),
-    400: (3, 5, 7, 9, 13, 18, 25, 36, 57, 89, 140, 230, 360),
-    500: (4, 6, 8, 10, 15, 20, 27, 40, 63, 97, 155, 250, 400),
-}
+DISTRIBUTIONS: dict[str, type["Distribution"]] = {}
+"""Every distribution by its name."""
 
 
-@checked
-def it_width(grade: str, size: Scalar) -> float:
-    """Width of the tolerance zone, m; the limits of a centred zone are +- half of it.
+class Distribution(Record):
+    """Distribution of parts between limits; its fields are its specific parameters.
 
-    ISO 286-1, Table 1.
-
-    Args:
-        grade: "IT01", "IT0", "IT1" ... "IT11".
-        size: nominal size, m, above 0 and up to 500 mm; a size step includes its upper end.
-
-    Raises:
-        ValueError: unknown grade, or a size outside the table.
+    A distribution may hold more in class variables: `shifts` (it honours `Tolerance.shift`), `capable` (and
+    `Tolerance.cp`), `of_vectors` (a field of pairs [radial, tangential] gets vectors, not independent numbers) and
+    `couples` (the errors along the last axis, as the two components of a vector, depend on each other: `correlation`).
     """
-    if not isinstance(grade, str) or grade not in GRADES:
-        raise ValueError(f"grade = {grade!r}: unknown, the table holds {', '.join(GRADES)}")
-    in_mm = float(size) / mm
-    if not 0 < in_mm <= 500 * (1 + 1e-12):
-        raise ValueError(f"size = {quantity(size, 'm')}: the table of grades covers sizes above 0 and up to 0.5 m")
-    # 0.03 m / mm is 30.000000000000004 in floating point and still belongs to the step "up to 30 mm".
-    step = next(end for end in _WIDTHS if in_mm <= end or math.isclose(in_mm, end, rel_tol=1e-12))
-    return _WIDTHS[step][GRADES.index(grade)] * um
+
+    name: ClassVar[str] = ""
+    shifts: ClassVar[bool] = False
+    capable: ClassVar[bool] = True
+    of_vectors: ClassVar[bool] = False
+    couples: ClassVar[bool] = False
+
+    def __init_subclass__(cls) -> None:
+        DISTRIBUTIONS[cls.name] = cls
+
+    def deviate(self, tolerance: "Tolerance", z: jax.Array) -> Scalar:
+        """Errors q(Phi(z)).
+
+        Args:
+            tolerance: whose distribution this is.
+            z: standard normal (*shape, *batch) or, outside vectors, any shape.
+        """
+        raise NotImplementedError
+
+    def moments(self, tolerance: "Tolerance") -> Moments:
+        """Moments of a concrete tolerance, on the host."""
+        raise NotImplementedError
+
+    def is_normal(self, tolerance: "Tolerance") -> bool:
+        """Return true where the errors are linear in z."""
+        return False
+
+    def scaled(self, tolerance: "Tolerance", half_width: Scalar) -> dict[str, Scalar]:
+        """Changed fields of a tolerance with another half-width; here its limits, about their mid-point.
+
+        Args:
+            tolerance: whose distribution this is.
+            half_width: the new one, unit of the error.
+        """
+        return dict(lower=tolerance.middle - half_width, upper=tolerance.middle + half_width)
+
+    def coupling(self, tolerance: "Tolerance") -> float:
+        """Correlation of the two components of one vector."""
+        return 0.0
+
+    def correlation(self, tolerance: "Tolerance") -> np.ndarray:
+        """Correlation of the errors along the last axis, where the distribution couples them."""
+        return np.array([[1.0, self.coupling(tolerance)], [self.coupling(tolerance), 1.0]])
+
+    def check(self, tolerance: "Tolerance") -> None:
+        """Raise a ValueError for limits or parameters that do not fit; numbers may be tracers."""
+
+    def check_field(self, name: str, tolerance: "Tolerance") -> None:
+        """Raise a ValueError for a field that this distribution does not fit, once its shape is known.
+
+        Args:
+            name: of the field.
+            tolerance: whose distribution this is.
+        """
+
+    @classmethod
+    def parameters(cls) -> tuple[str, ...]:
+        """Names of the parameters that only this distribution has."""
+        return tuple(f.name for f in dataclasses.fields(cls))
+
+    @classmethod
+    def parsed(cls, key: str, value: object, unit: str) -> object:
+        """Parse a parameter of a study file; a ValueError if it is not in its unit.
+
+        Args:
+            key: its name.
+            value: as read.
+            unit: of the error.
+        """
+        about = next(f.metadata for f in dataclasses.fields(cls) if f.name == key)
+        wanted = unit if about["unit"] == IN_ERROR_UNIT else about["unit"]
+        try:
+            if isinstance(value, list):
+                numbers = [parse(item, wanted) for item in value]
+                return tuple(numbers) if about["kind"] == "text" else np.array(numbers)
+            return parse(value, wanted)
+        except ValueError as error:
+            raise ValueError(f"{key} = {error}") from None
+
+    def described(self) -> dict[str, object]:
+        """Parameters as plain values, exact to the last bit."""
+        values = {name: getattr(self, name) for name in self.parameters()}
+        return {n: v if isinstance(v, (tuple, str, type(None))) else np.asarray(v).tolist() for n, v in values.items()}
 
 
-__all__ = ["DISTRIBUTIONS", "Distribution", "Tolerance", "classic", "empirical", "spectrum", "von_mises"]
+def distribution_of(distribution: object, parameters: Mapping[str, object]) -> Distribution:
+    """Make a distribution from its name, class or an instance; a ValueError names a parameter of another one."""
+    if isinstance(distribution, str) and distribution in DISTRIBUTIONS:
+        distribution = DISTRIBUTIONS[distribution]
+    given = {name: value for name, value in parameters.items() if value is not None}
+    if isinstance(distribution, Distribution):
+        return distribution.replace(**given) if given else distribution
+    if not (isinstance(distribution, type) and issubclass(distribution, Distribution)):
+        near = meant(distribution, DISTRIBUTIONS)
+        raise bad("distribution", distribution, f"unknown{near}, choose from {', '.join(DISTRIBUTIONS)}")
+    for f in dataclasses.fields(distribution):
+        if f.default is dataclasses.MISSING and f.name not in given:
+            raise bad(f.name, None, f"give {f.metadata['meaning']} with distribution={distribution.name!r}")
+    for name, value in given.items():
+        if name not in distribution.parameters():
+            owners = [law for law, cls in DISTRIBUTIONS.items() if name in cls.parameters()]
+            if not owners:
+                raise TypeError(f"Tolerance got an unexpected argument {name!r}")
+            known = next(f.metadata["meaning"] for f in dataclasses.fields(DISTRIBUTIONS[owners[0]]) if f.name == name)
+            raise bad(name, value, f"give {known} with distribution={owners[0]!r}, and only there")
+    return distribution(**given)
+
+
+def bad(name: str, value: object, reason: str) -> ValueError:
+    """Return the error that names a field of a tolerance and its value."""
+    shown = f"{value:.6g}" if isinstance(value, float) else repr(value)
+    return ValueError(f"Tolerance.{name} = {shown}: {reason}")
+
 
 COMMON = ("cp", "shift", "batch")
 """Plain numbers that every distribution may be given."""
@@ -162,7 +246,7 @@ class Tolerance(Record):
         return cls(-half_width, half_width, **options)
 
     @classmethod
-    def grade(cls, grade: str, size: Scalar, **options: Any) -> Self:
+    def grade(cls, grade: str, size: Scalar, **options: object) -> Self:
         """Limits +-IT/2 of an ISO 286 grade.
 
         Args:

@@ -3,9 +3,9 @@
 import base64
 import itertools
 import re
+from collections.abc import Mapping
 from functools import cache
 from importlib import resources
-from typing import TYPE_CHECKING
 
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup, escape
@@ -17,19 +17,17 @@ from rvjax.render.content import Block, Note, Section
 from rvjax.render.figure import Figure
 from rvjax.render.table import PAGE, Table
 
-if TYPE_CHECKING:
-    from rvjax.render.report import Report
 
-
-def page(report: "Report") -> str:
-    """The page that the template of a report makes.
+def page(template: str, values: Mapping[str, object]) -> str:
+    """The page that a template makes.
 
     Args:
-        report: its `page` is "package:file", or "" for the page that all reports share.
+        template: "package:file", or "" for the page that all reports share.
+        values: for the template, the `report` and its facts.
     """
-    template = _environment().get_template(report.page or "rvjax.render:page.html.j2")
+    made = _environment().get_template(template or "rvjax.render:page.html.j2")
     style = Markup((resources.files("rvjax.render") / "page.css").read_text("utf-8"))
-    return template.render(report=report, style=style, versions=versions(), rvjax=rvjax, **report.facts)
+    return made.render(style=style, versions=versions(), rvjax=rvjax, **values)
 
 
 @cache

@@ -84,7 +84,7 @@ class Report:
         """The page: one file that needs no other."""
         from rvjax.render.page import page  # Jinja2 is loaded for a page only
 
-        return page(self)
+        return page(self.page or "", {"report": self, **self.facts})
 
 
 def _flat(content: Iterable[Content]) -> Iterator[Note | Table | Figure]:

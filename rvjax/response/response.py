@@ -101,7 +101,7 @@ class Compiled(Generic[R]):
         found: R = jitted.eval_shape(*first, *arguments, **_given(static))
         return found
 
-    def _chosen(self, response: Function, arguments: PyTree) -> Options:
+    def _chosen(self, response: Function, arguments: object) -> Options:
         """Options of the program; they are those of a processor."""
         return (*getattr(response, "compiler_options", ()), *self._options) if platform_of(arguments) == CPU else ()
 
@@ -186,7 +186,7 @@ class Outcome(Record):
     status: Array = field("-", "`Status` values, any shape (angles, discs)", kind="integer")
 
 
-def evaluate(response: Response, errors: PyTree) -> tuple[Values, jax.Array]:
+def evaluate(response: Response, errors: object) -> tuple[Values, jax.Array]:
     """Values by name and the status of one unit.
 
     Raises:

@@ -12,9 +12,10 @@ from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import Bearings, Friction, RVReducer
 from rvjax.errors import RVErrors
+from rvjax.life import TurnPlan
 from rvjax.loaded import Read
 from rvjax.records import Array, PyTree, Record, field, record
-from rvjax.running.inputs import Call, Plan, check_call, check_direction, entered
+from rvjax.running.inputs import Call, check_call, check_direction, entered
 from rvjax.running.losses import around
 from rvjax.status import Gate, SolveInfo, Status, succeeded, worst
 
@@ -82,7 +83,7 @@ class Given(NamedTuple):
 
 
 @quick(0, 1)
-def _back_driving(plan: Plan, sign: float, design: PyTree, errors: PyTree, friction: Friction) -> BackDriving:
+def _back_driving(plan: TurnPlan, sign: float, design: PyTree, errors: PyTree, friction: Friction) -> BackDriving:
     call = entered(plan, design, errors, friction, 0.0)
     read = call.read
     sound = call.gate.good.astype(read.torque.dtype)
@@ -96,7 +97,7 @@ Evaluated = tuple[jax.Array, jax.Array, jax.Array, jax.Array]  # friction, statu
 Root = tuple[jax.Array, jax.Array, SolveInfo]  # torque, displacements there, and how it was found
 
 
-def _resisting(plan: Plan, sign: float, given: Given, x: jax.Array, start: jax.Array) -> Evaluated:
+def _resisting(plan: TurnPlan, sign: float, given: Given, x: jax.Array, start: jax.Array) -> Evaluated:
     """Friction at rest under the torque x of the output."""
     gate = Gate(((given.sound < 0.5, Status.NONFINITE),))
     zero = jnp.zeros_like(x)
@@ -125,7 +126,7 @@ class Search(NamedTuple):
     steps: jax.Array  # of the equilibria
 
 
-def _least_root(plan: Plan, sign: float, given: Given) -> Root:
+def _least_root(plan: TurnPlan, sign: float, given: Given) -> Root:
     """Secant from below, kept in a bracket once there is one."""
     dtype = given.eccentricity.dtype
     accuracy = max(1e-11, 100 * float(jnp.finfo(dtype).eps))
@@ -183,12 +184,12 @@ def _least_root(plan: Plan, sign: float, given: Given) -> Root:
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def _solve(plan: Plan, sign: float, given: Given) -> Root:
+def _solve(plan: TurnPlan, sign: float, given: Given) -> Root:
     return _least_root(plan, sign, given)
 
 
 @_solve.defjvp
-def _solve_jvp(plan: Plan, sign: float, primals: tuple[Given], tangents: tuple[Given]) -> tuple[Root, Root]:
+def _solve_jvp(plan: TurnPlan, sign: float, primals: tuple[Given], tangents: tuple[Given]) -> tuple[Root, Root]:
     """dx = (d friction / d given) dgiven / (1 - d friction / dx)."""
     (given,), (change,) = primals, tangents
     x, start, info = _solve(plan, sign, given)

@@ -14,7 +14,7 @@ from rvjax._ground.choices import choose
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import Bearings, Friction, Inertia, RVReducer, expect
 from rvjax.errors import Errors
-from rvjax.life import check_alone, check_angles, check_places
+from rvjax.life import TurnPlan, check_alone, check_places
 from rvjax.loaded import Layout, Read, admit, check_input, unchecked
 from rvjax.records import PyTree, Scalar, concrete, promote, quantity
 from rvjax.status import Gate, Status
@@ -128,20 +128,6 @@ SHARES = {
     "output_viscous": "drag_friction",
 }
 """Error by which each coefficient of a unit is larger than the nominal one."""
-_NEAR = 24  # samples of a crank turn from which on neighbours have similar displacements
-
-
-class Plan(NamedTuple):
-    """Static settings of a program."""
-
-    layout: Layout
-    samples: int
-    crank_turns: int
-
-    @property
-    def near(self) -> bool:
-        """True if the equilibrium at the sample before is a better start than the linear step."""
-        return self.samples >= _NEAR
 
 
 def check_call(
@@ -152,7 +138,7 @@ def check_call(
     supports: tuple[str, str, str],
     samples: int = 1,
     turns: float = 1.0,
-) -> tuple[Plan, Friction]:
+) -> tuple[TurnPlan, Friction]:
     """The plan of a call, and the friction that it takes.
 
     Args:
@@ -196,7 +182,7 @@ def check_call(
         if bearings.support is None:
             raise ValueError("Bearings.support = None: Friction.support_bearings needs it")
         check_places(bearings, design.counts, "Bearings")
-    return Plan(layout, int(samples), check_angles(samples, turns, layout.pins)), friction
+    return TurnPlan.of(layout, samples, turns), friction
 
 
 def check_direction(direction: str) -> float:
@@ -223,7 +209,7 @@ class Call(NamedTuple):
 
 
 def entered(
-    plan: Plan,
+    plan: TurnPlan,
     design: PyTree,
     errors: Errors,
     friction: Friction,

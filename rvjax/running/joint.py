@@ -14,9 +14,10 @@ from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import Friction, RVReducer
 from rvjax.errors import RVErrors
+from rvjax.life import TurnPlan
 from rvjax.loaded import Case, compliance, equilibria, forces, named_forces, output_rotation
 from rvjax.records import Array, PyTree, Record, Scalar, concrete, field, quantity, record
-from rvjax.running.inputs import Call, Plan, check_call, entered, kind_of
+from rvjax.running.inputs import Call, check_call, entered, kind_of
 from rvjax.running.losses import around, bearing_moments, ended, ring_slip, worked
 from rvjax.status import SolveInfo, Status
 
@@ -66,7 +67,7 @@ def hysteresis(
 
 
 @quick(0, options=ONCE)
-def _hysteresis(plan: Plan, design: PyTree, errors: PyTree, friction: Friction, input_angle: Scalar) -> Hysteresis:
+def _hysteresis(plan: TurnPlan, design: PyTree, errors: PyTree, friction: Friction, input_angle: Scalar) -> Hysteresis:
     call = entered(plan, design, errors, friction, 0.0, angle=input_angle)
     read, layout = call.read, plan.layout
     signs = jnp.asarray([-1.0, 1.0], read.torque.dtype)
@@ -89,7 +90,7 @@ def _hysteresis(plan: Plan, design: PyTree, errors: PyTree, friction: Friction, 
     return Hysteresis(width, torque, info)
 
 
-def _sliding(plan: Plan, call: Call, case: Case, q: jax.Array, carries: jax.Array) -> jax.Array:
+def _sliding(plan: TurnPlan, call: Call, case: Case, q: jax.Array, carries: jax.Array) -> jax.Array:
     """Friction of the contacts in the elastic motion at q per radian of the output, () N m. Eqs. 16 and 18."""
     read, layout, friction = call.read, plan.layout, call.friction
     unit = jnp.asarray(np.eye(layout.unknowns)[layout.carried], q.dtype)
@@ -197,7 +198,7 @@ def joint(
 
 @quick(0)
 def _joint(
-    plan: Plan,
+    plan: TurnPlan,
     design: PyTree,
     errors: PyTree,
     friction: Friction,

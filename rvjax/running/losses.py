@@ -14,10 +14,10 @@ from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import Friction, RVReducer
 from rvjax.errors import RVErrors
-from rvjax.life import input_angles, magnitude, shared, tapered
+from rvjax.life import TurnPlan, magnitude, shared, tapered
 from rvjax.loaded import Case, equilibria, forces, named_forces, output_rotation
 from rvjax.records import Array, PyTree, Record, Scalar, field, record
-from rvjax.running.inputs import Call, Plan, check_call, entered, kind_of
+from rvjax.running.inputs import Call, check_call, entered, kind_of
 from rvjax.status import SolveInfo, Status, succeeded, worst
 
 PLACES = ("ring_pins", "output_pins", "arm_bearings", "support_bearings", "gear_meshes")
@@ -77,7 +77,7 @@ class Turn(NamedTuple):
 
 
 def around(
-    plan: Plan, call: Call, torques: jax.Array, start: jax.Array | None = None, held: jax.Array | None = None
+    plan: TurnPlan, call: Call, torques: jax.Array, start: jax.Array | None = None, held: jax.Array | None = None
 ) -> Turn:
     """Losses along the turn. Eqs. 1 to 10.
 
@@ -100,7 +100,7 @@ def around(
         sums |= {name: jnp.sum(value) for name, value in bearing_moments(call, arm, support).items()}
         return sums if held is None else sums | {_TURNED: output_rotation(layout, case, q)}
 
-    angles = input_angles(plan, read.design, read.torque.dtype)
+    angles = plan.input_angles(read.design, read.torque.dtype)
     if held is None:
         solution = equilibria(layout, read, torques, angles, take, start, near=plan.near)
     else:
@@ -270,7 +270,7 @@ def losses(
 
 @quick(0)
 def _losses(
-    plan: Plan, design: PyTree, errors: PyTree, friction: Friction, output_torque: Scalar, output_speed: Scalar
+    plan: TurnPlan, design: PyTree, errors: PyTree, friction: Friction, output_torque: Scalar, output_speed: Scalar
 ) -> Losses:
     call = entered(plan, design, errors, friction, output_torque, speed=output_speed)
     torque, speed = call.read.torque, call.speed

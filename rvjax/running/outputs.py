@@ -17,11 +17,12 @@ from rvjax._jax.programs import QUICK, quick
 from rvjax.catalogue import part_class
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import Friction, RVReducer
+from rvjax.life import TurnPlan
 from rvjax.loaded import DriveConditions as OfDrive, LoadedConditions, ways
 from rvjax.outputs import Description, Joint, Output, Reading, Solved, Source, condition
 from rvjax.records import PyTree, Scalar
 from rvjax.running.back_driving import BackDriving, back_driving
-from rvjax.running.inputs import Plan, check_call, entered
+from rvjax.running.inputs import check_call, entered
 from rvjax.running.joint import hysteresis
 from rvjax.running.losses import around, backward_efficiency, efficiency, ended, worked
 from rvjax.status import Status, worst
@@ -64,7 +65,7 @@ def turned(design: PyTree, errors: PyTree, conditions: Any, torques: tuple[Scala
 
 @quick(0)
 def _turned(
-    plan: Plan, design: PyTree, errors: PyTree, friction: Friction, torques: tuple[Scalar, ...], speed: Scalar
+    plan: TurnPlan, design: PyTree, errors: PyTree, friction: Friction, torques: tuple[Scalar, ...], speed: Scalar
 ) -> tuple[Turned, ...]:
     call = entered(plan, design, errors, friction, 0.0, speed=speed)
     under = jnp.stack([jnp.asarray(torque, call.read.torque.dtype) for torque in torques])

@@ -4,8 +4,8 @@ from rvjax._reducer.plausible import KNOWN_DESIGNS, numbers, shown, walk as walk
 from rvjax.catalogue import BASES
 from rvjax.measured import Conditions, Loop, Measured, Run, read as read_measured
 from rvjax.study.bench import order_name
-from rvjax.study.design import given_numbers as given_numbers
-from rvjax.study.identification import field_unit
+from rvjax.study.design import comments as comments, given_numbers as given_numbers, is_assumed as is_assumed
+from rvjax.study.identification import NUISANCES, field_unit, part_orders as part_orders
 from rvjax.study.kinds import (
     KINDS as KINDS,
     Assumed as Assumed,
@@ -24,8 +24,6 @@ from rvjax.study.kinds import (
     outside as outside,
 )
 from rvjax.study.kinds.rv import RATED, TORQUE
-from rvjax.study.nuisances import NUISANCES, part_orders as part_orders
-from rvjax.study.origin import comments as comments, is_assumed as is_assumed
 from rvjax.study.problem import (
     Candidate,
     Problem,
@@ -33,11 +31,11 @@ from rvjax.study.problem import (
     identification_of,
     problem as inverse_problem,
 )
-from rvjax.study.read import EMBEDDED, embedded_names, load, parse_study
+from rvjax.study.reader import EMBEDDED, embedded_names, load, parse_study
 from rvjax.study.response import CURVE as CURVE, Response as Response, refuse as refuse
 from rvjax.study.rewrite import template as study_template
 from rvjax.study.study import Study, StudyError
-from rvjax.study.toleranced import stated_by as stated_by
+from rvjax.study.tolerances import stated_by as stated_by
 from rvjax.study.values import (
     Metadata as Metadata,
     choice,

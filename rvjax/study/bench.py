@@ -11,13 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import models
-from rvjax._ground.choices import unknown
 from rvjax._jax.programs import Options
 from rvjax.errors import described, read_by
 from rvjax.measured import Conditions
 from rvjax.outputs import Observation, torque_of
 from rvjax.records import Array, Design, PyTree, Record, Scalar, field, record, text
-from rvjax.study.nuisances import DRAGS, NUISANCES
+from rvjax.study.identification import DRAGS, NUISANCES, number_of_design
 
 Values = Mapping[str, PyTree]
 Seen = dict[str, PyTree]
@@ -25,41 +24,6 @@ Model = Callable[[Values], Seen]
 
 PROBE = 1e-3
 """Share of the largest torque that replaces zero: the side of the backlash needs a sign."""
-
-
-def number_of_design(design: PyTree, name: str) -> tuple[tuple[str, ...], str]:
-    """Path and SI unit of a number of a design.
-
-    Args:
-        design: the reducer.
-        name: of a field of one of its parts, with the part ("output.pin_stiffness") where several have it; "stiffness"
-            is a factor on all its springs, whose path is empty.
-
-    Raises:
-        ValueError: no part has such a number, or several have it.
-    """
-    springs = hasattr(design, "stiffer")
-    if name == "stiffness" and springs:
-        return (), "-"
-    found: dict[str, tuple[tuple[str, ...], str]] = {}
-    owners: dict[str, list[str]] = {}
-    for part in dataclasses.fields(design):
-        record, kind = getattr(design, part.name), part.metadata["kind"]
-        if kind == "real":
-            found[part.name] = (part.name,), part.metadata["unit"]
-        for f in dataclasses.fields(record) if dataclasses.is_dataclass(record) else ():
-            if f.metadata["kind"] not in ("count", "text", "record"):
-                owners.setdefault(f.name, []).append(f"{part.name}.{f.name}")
-                found[owners[f.name][-1]] = (part.name, f.name), f.metadata["unit"]
-    for short, whole in owners.items():
-        if len(whole) == 1:
-            found[short] = found.pop(whole[0])
-    if len(owners.get(name, [])) > 1:
-        raise ValueError(f"{name}: several parts have it; write {' or '.join(map(repr, owners[name]))}")
-    if name not in found:
-        first = ["stiffness (a factor on all springs)"] if springs else []
-        raise unknown("no number of this design", name, [*first, *found], "; there are")
-    return found[name]
 
 
 def _taken(design: PyTree, values: Values) -> tuple[PyTree, PyTree]:
@@ -142,7 +106,7 @@ class Curves(Record):
         return seen
 
     def split(self) -> tuple["Curves", list[dict[str, PyTree]]]:
-        """The curves over a part of the angles, and the fields of each part: see `rvjax.identify.problem.Split`."""
+        """The curves over a part of the angles, and the fields of each part: `rvjax.identify.identification.Split`."""
         given = {name: getattr(self, name) for name in ("torques", "reading", "speeds", "least")}
         fields = {name: value for name, value in given.items() if value is not None}
         divide = self.observation.parts

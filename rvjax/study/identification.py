@@ -1,27 +1,40 @@
-"""Table [identify] of a study: model, unknown values, noise of the bench.
+"""Table [identify] of a study: model, unknown values, noise and nuisances of the bench.
 
-The prior is the tolerances of the study; unknown values of the design and nuisances of the bench are added.
+The prior is the tolerances of the study; unknown values of the design are added, and nuisances: contributions to a
+measurement that are not errors of parts.
 """
 
 import dataclasses
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from rvjax import models
+from rvjax._ground.choices import unknown
 from rvjax.measured import DIRECTIONS, KINDS, Kind
 from rvjax.outputs import Observation
 from rvjax.records import Design, PyTree
-from rvjax.study.bench import number_of_design
-from rvjax.study.nuisances import DRAGS, NUISANCES, nuisance
-from rvjax.study.toleranced import parse_tolerance
-from rvjax.study.values import Toml, choice, integer, known, naming_field, quantity, subtable
+from rvjax.study.tolerances import parse_tolerance
+from rvjax.study.values import Toml, choice, integer, known, naming_field, positive, quantity, subtable
 from rvjax.tolerances import Tolerance
+from rvjax.units import arcsec
 
 KEYS = ("model", "orders", "noise", "nuisance", "shared", "unknown", "torques", "directions")
 HEADLESS = "; the deformed housing is modelled for RV reducers only; an eccentric scale is the nuisance 'mounting'"
 FINEST = 10_000
 """Highest order of the output revolution that a study may use."""
+WIDE = 3000 * arcsec
+NUISANCES: dict[str, str] = {
+    "offset": "zero of the angle readings, one for all runs; with it the means of the runs count",
+    "mounting": "eccentricity of the encoders, [cosine, sine] of order 1; with it order 1 counts",
+    "phase": "angle of the index mark, where there is none",
+    "reading": "motion of a head against the scale under load: oval ring, tilt, dent, each [cosine, sine] of the head",
+    "drag": "friction torque at the output that opposes the motion, independent of speed",
+    "viscous_drag": "friction torque at the output that opposes the motion, over the speed of the input",
+}
+DRAGS = {"drag": ("N m", 1000.0), "viscous_drag": ("N m s/rad", 10.0)}
+"""Unit and half-width of the nuisances that are torques; the others are angles."""
 
 
 @dataclass(frozen=True)
@@ -147,10 +160,7 @@ def _noise(table: Mapping[str, object], data: Kind) -> float | None:
         )
     if given == "floor":
         return None
-    noise = quantity(given, data.unit, "identify.noise")
-    if noise <= 0:
-        raise ValueError(f"identify.noise = {given!r}: must be positive")
-    return noise
+    return positive(given, data.unit, "identify.noise")
 
 
 def _check_parts(model: str, observations: Mapping[str, Observation], design: object) -> None:
@@ -171,3 +181,71 @@ def field_unit(design: Design, name: str) -> str:
     if name in NUISANCES:
         return DRAGS[name][0] if name in DRAGS else "rad"
     return units[name] if name in units else number_of_design(design, name)[1]
+
+
+def number_of_design(design: PyTree, name: str) -> tuple[tuple[str, ...], str]:
+    """Path and SI unit of a number of a design.
+
+    Args:
+        design: the reducer.
+        name: of a field of one of its parts, with the part ("output.pin_stiffness") where several have it; "stiffness"
+            is a factor on all its springs, whose path is empty.
+
+    Raises:
+        ValueError: no part has such a number, or several have it.
+    """
+    springs = hasattr(design, "stiffer")
+    if name == "stiffness" and springs:
+        return (), "-"
+    found: dict[str, tuple[tuple[str, ...], str]] = {}
+    owners: dict[str, list[str]] = {}
+    for part in dataclasses.fields(design):
+        record, kind = getattr(design, part.name), part.metadata["kind"]
+        if kind == "real":
+            found[part.name] = (part.name,), part.metadata["unit"]
+        for f in dataclasses.fields(record) if dataclasses.is_dataclass(record) else ():
+            if f.metadata["kind"] not in ("count", "text", "record"):
+                owners.setdefault(f.name, []).append(f"{part.name}.{f.name}")
+                found[owners[f.name][-1]] = (part.name, f.name), f.metadata["unit"]
+    for short, whole in owners.items():
+        if len(whole) == 1:
+            found[short] = found.pop(whole[0])
+    if len(owners.get(name, [])) > 1:
+        raise ValueError(f"{name}: several parts have it; write {' or '.join(map(repr, owners[name]))}")
+    if name not in found:
+        first = ["stiffness (a factor on all springs)"] if springs else []
+        raise unknown("no number of this design", name, [*first, *found], "; there are")
+    return found[name]
+
+
+def nuisance(name: str, orders: Sequence[int]) -> Tolerance:
+    """The prior of a nuisance of the bench.
+
+    Args:
+        name: of `NUISANCES`.
+        orders: of the output turn that are measured; a phase is seen up to their common turn.
+    """
+    if name == "phase":
+        half = math.pi / math.gcd(*orders)
+        return Tolerance(-half, half, distribution="uniform")
+    if name in DRAGS:
+        return Tolerance.symmetric(DRAGS[name][1])
+    shape = {"mounting": (2,), "reading": (6,)}.get(name, ())
+    return Tolerance.symmetric(WIDE, shape=shape, vector=False) if shape else Tolerance.symmetric(WIDE)
+
+
+def part_orders(design: Design, orders: Iterable[int]) -> tuple[int, ...]:
+    """The orders that only errors of parts or the mounting of the scale make: no harmonic of the housing has them.
+
+    With the ring at rest: |zp P - m| with P = m + c s is zc P + c s but for its sign (`loaded.housing_orders`), with c
+    equal places where discs and carrier meet. With the carrier at rest: multiples of the pins.
+
+    Args:
+        design: the reducer; its places are equal.
+        orders: of the output turn.
+    """
+    counts = getattr(design, "counts", {})
+    common = math.gcd(counts.get("teeth", 1), counts.get(getattr(design, "places", ""), 1))
+    if getattr(design, "member", "carrier") == "ring":
+        common = counts["pins"]
+    return tuple(order for order in orders if order % common)

@@ -22,9 +22,8 @@ from rvjax.study.bench import (
     rated_torque,
     signed_torques,
 )
-from rvjax.study.identification import Identification, planned_kind
+from rvjax.study.identification import NUISANCES, Identification, planned_kind
 from rvjax.study.kinds import kind_of, orders_of
-from rvjax.study.nuisances import NUISANCES
 from rvjax.study.study import Study, StudyError
 from rvjax.tolerances import Tolerance
 

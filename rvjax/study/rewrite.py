@@ -6,7 +6,8 @@ import tomllib
 from collections.abc import Mapping, Sequence
 
 from rvjax.records import PyTree
-from rvjax.study.toleranced import FORMS, RING, RING_FORMS
+from rvjax.study.tolerances import FORMS, RING, RING_FORMS
+from rvjax.study.values import tables_of
 from rvjax.tolerances import Limits
 
 _LIMITS = ("half_width", "lower", "upper", "grade", *FORMS)  # keys that say where the limits of an error are
@@ -26,7 +27,7 @@ def template(text: str, requirements: Mapping[str, Limits], fields: Sequence[str
         requirements: by name of the response.
         fields: names of the errors that may change, in their order.
     """
-    tables = tomllib.loads(text)
+    tables = tables_of(text)
     ring = tables["tolerances"].get(RING, {})
     gaps: _Gaps = {}
     for k, name in enumerate(fields):
@@ -82,7 +83,7 @@ def _header(line: str) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _fits(parts: Parts, tables: dict[str, PyTree], gaps: _Gaps) -> bool:
+def _fits(parts: Parts, tables: Mapping[str, PyTree], gaps: _Gaps) -> bool:
     """True if every gap occurs once and filling it replaces only the limits."""
     if sum(not isinstance(part, str) for part in parts) != sum(map(len, gaps.values())):
         return False
@@ -107,7 +108,7 @@ def _filled(kind: str, number: int) -> str:
     return f"filled-{kind}-{number}"
 
 
-def canonical(tables: dict[str, PyTree]) -> str:
+def canonical(tables: Mapping[str, PyTree]) -> str:
     """Tables of a study as TOML, a header for each table of two names."""
     lines = []
     for name, table in tables.items():

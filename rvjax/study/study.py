@@ -5,7 +5,6 @@ Title, author and revision of a study, for the head of reports.
 
 import dataclasses
 import functools
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -15,18 +14,19 @@ from rvjax._reducer.plausible import accept
 from rvjax.levels import Choice, choose
 from rvjax.outputs import Curve, Output
 from rvjax.records import PyTree, Scalar
+from rvjax.study.design import Number, comments, design_numbers, given_paths, is_assumed
+from rvjax.study.doubts import doubtful_costs, doubtful_limits, doubts
+from rvjax.study.goals import Price
 from rvjax.study.identification import Identification
 from rvjax.study.kinds import changed, fields_of, kind_of
-from rvjax.study.origin import Number, comments, design_numbers, given_paths, is_assumed
-from rvjax.study.plausible import doubtful_costs, doubtful_limits, doubts
 from rvjax.study.response import DesignResponse, Response, check_nominal, followed_bounds
-from rvjax.study.toleranced import Form, forms
+from rvjax.study.tolerances import Form, forms
 from rvjax.study.values import (
     StudyError as StudyError,  # other modules take it from here
     known,
     naming,
+    tables_of,
 )
-from rvjax.study.variables import Price
 from rvjax.tolerances import Cost, Limits, Middle, Nominal, QuadraticLoss, Variable
 
 LONGEST = 200  # characters of a line
@@ -256,7 +256,7 @@ class Study:
     @property
     def assumed_limits(self) -> set[str]:
         """Responses whose limit the study marks as assumed."""
-        entries = tomllib.loads(self.text).get("requirement", {})
+        entries = self.tables.get("requirement", {})
         said = [path.partition(".")[0] for path, text in comments(self.text, "requirement").items() if is_assumed(text)]
         return {entries[key].get("response", key) for key in said}
 
@@ -276,20 +276,25 @@ class Study:
                 raise unknown("unknown number of the design", plain, sorted(known), "; known here:")
         return changed(self.design, values, self.given, similar=similar)
 
+    @property
+    def tables(self) -> Mapping[str, PyTree]:
+        """Tables of the file, as written; read only."""
+        return tables_of(self.text)
+
     @functools.cached_property
     def given(self) -> frozenset[str]:
         """Paths of the numbers of the design that the study gives; they do not follow others."""
-        return frozenset(given_paths(tomllib.loads(self.text)["design"]))
+        return frozenset(given_paths(self.tables["design"]))
 
     @functools.cached_property
     def forms(self) -> dict[str, Form]:
         """Forms of the tolerances that the file states in the words of drawings, by error."""
-        return forms(tomllib.loads(self.text)["tolerances"])
+        return forms(self.tables["tolerances"])
 
     @property
     def base(self) -> str:
         """The published reducer that the design begins with, "" without one."""
-        return str(tomllib.loads(self.text)["design"].get("base", ""))
+        return str(self.tables["design"].get("base", ""))
 
     @property
     def numbers(self) -> list[Number]:
@@ -297,7 +302,7 @@ class Study:
         described = models.kind(self.design).described
         unread = {part for one in described.values() for part in one.parts}
         unread -= {part for name in self.requirements for part in described[name].parts}
-        found = design_numbers(self.design, tomllib.loads(self.text)["design"], self.text)
+        found = design_numbers(self.design, self.tables["design"], self.text)
         return [number for number in found if number.path.partition(".")[0] not in unread]
 
     @property

@@ -1,12 +1,17 @@
 """Checked values of a study file: an error is one line that names key, value and unit."""
 
+import functools
+import re
+import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from rvjax._ground.choices import UnknownWord, choose, unknown
 from rvjax._reducer.plausible import shown
-from rvjax.units import KNOWN, parse
+from rvjax.records import PyTree
+from rvjax.units import KNOWN, parse, point_for
 
 Toml = dict[str, object]
 """A table of a study file."""
@@ -19,6 +24,42 @@ Numbers = float | list["Numbers"]
 
 class StudyError(ValueError):
     """Invalid study; the message names file, key, value and rule."""
+
+
+def text_of(path: Path, where: str, what: str = "") -> str:
+    """Text of a file in UTF-8, with or without the byte order mark of Windows.
+
+    Args:
+        path: of the file.
+        where: file or option, for the message.
+        what: kind of the file, for the message.
+
+    Raises:
+        StudyError: it cannot be read.
+        FileNotFoundError: there is no such file.
+    """
+    try:
+        return path.read_text("utf-8-sig")
+    except FileNotFoundError:
+        raise FileNotFoundError(f"{where}: no such {what} file".replace("  ", " ")) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise StudyError(f"{where}: cannot be read as text in UTF-8 ({error})") from None
+
+
+@functools.lru_cache(maxsize=8)
+def tables_of(text: str) -> Mapping[str, PyTree]:
+    """Tables of a TOML text; they are read only, since equal texts share them.
+
+    Raises:
+        ValueError: it is not valid; with a hint for a decimal comma.
+    """
+    try:
+        return tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        place = re.search(r"at line (\d+)", str(error))
+        line = text.splitlines()[int(place[1]) - 1] if place else ""
+        comma = re.search(r"=\s*([-+]?\d+,\d+)", line)
+        raise ValueError(f"not valid TOML: {error}{point_for(comma[1]) if comma else ''}") from None
 
 
 @contextmanager
@@ -55,6 +96,20 @@ def known(table: Iterable[str], keys: Iterable[str], where: str) -> None:
         if key not in keys:
             name = f"{where}.{key}" if where else f"[{key}]"
             raise unknown(f"unknown key {name}", key, sorted(keys), "; known here:")
+
+
+def needed(table: Iterable[str], keys: Iterable[str], where: str, why: str) -> None:
+    """Raise an error for keys that are missing.
+
+    Args:
+        table: as written.
+        keys: that it must have.
+        where: name of the table, for the message.
+        why: what they are, for the message.
+    """
+    for key in keys:
+        if key not in table:
+            raise ValueError(f"{where}.{key} is missing: {why}")
 
 
 def subtable(parent: Mapping[str, object], key: str) -> Toml:
@@ -107,6 +162,14 @@ def quantity(value: object, unit: str, where: str) -> float:
         raise ValueError(f"{where} = {error}") from None
 
 
+def positive(value: object, unit: str, where: str) -> float:
+    """A positive number in SI; arguments as of `quantity`."""
+    number = quantity(value, unit, where)
+    if number <= 0:
+        raise ValueError(f"{where} = {value!r}: must be positive")
+    return number
+
+
 def quantities(value: object, unit: str, where: str) -> Numbers:
     """A number in SI, or a list of them, nested as written.
 
@@ -129,6 +192,50 @@ def choice(value: object, choices: Iterable[str], where: str) -> str:
         where: key, for the message.
     """
     return choose(where, value, choices)
+
+
+def field_value(value: object, about: Metadata, where: str) -> PyTree:
+    """A value of a field of a record or of conditions, as the field is declared.
+
+    Args:
+        value: as written.
+        about: metadata of the field: kind, unit, choices, minimum and maximum, or columns of a table.
+        where: key, for the message.
+    """
+    if about.get("columns"):
+        return rows(value, about["columns"], where)
+    if about.get("choices"):
+        return choice(value, about["choices"], where)
+    least, most, unit = (about.get(key) for key in ("minimum", "maximum", "unit"))
+    if about.get("kind") == "count" or unit is None:
+        return integer(value, where, about["minimum"], about["maximum"])
+    if "shape" in about:  # of a record: a list, too
+        return quantities(value, unit, where)
+    number = quantity(value, unit, where)
+    if least is not None and number < least:
+        raise ValueError(f"{where} = {value!r}: must be at least {least:g} {unit}")
+    if most is not None and number > most:
+        raise ValueError(f"{where} = {value!r}: must be at most {most:g} {unit}")
+    return number
+
+
+def rows(value: object, columns: Mapping[str, str], where: str) -> tuple[tuple[float, ...], ...]:
+    """Rows of tables [[where]], SI, in the order of their columns.
+
+    Args:
+        value: as written.
+        columns: SI unit of each.
+        where: name of the tables.
+    """
+    if not isinstance(value, list) or not value or not all(isinstance(row, dict) for row in value):
+        raise ValueError(f"{where}: must be one or more tables [[{where}]] with {', '.join(columns)}")
+    found = []
+    for number, row in enumerate(value):
+        known(row, columns, f"{where}[{number}]")
+        for key, unit in columns.items():
+            needed(row, [key], f"{where}[{number}]", f"every phase has one, in {unit}")
+        found.append(tuple(quantity(row[key], unit, f"{where}[{number}].{key}") for key, unit in columns.items()))
+    return tuple(found)
 
 
 def in_unit(value: float, unit: str, digits: int = 4) -> str:

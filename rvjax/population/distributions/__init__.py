@@ -1,1 +1,5 @@
-"""The distributions of part errors."""
+"""The distributions of part errors: importing them puts each into `DISTRIBUTIONS`."""
+
+from rvjax.population.distributions import classic, empirical, periodic
+
+__all__ = ["classic", "empirical", "periodic"]

@@ -2,7 +2,6 @@
 
 import functools
 import math
-from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -10,12 +9,11 @@ import numpy as np
 from jax.scipy.special import erf, log_ndtr, ndtr, ndtri
 from scipy import special
 
-from rvjax.population.distribution import Distribution, Moments, bad, central, raw_rayleigh, stretch
-from rvjax.population.distributions.table import NODES, interpolate
+from rvjax.population.tolerance import Distribution, Moments, Tolerance, bad
 from rvjax.records import Scalar, concrete, field, record, text
 
-if TYPE_CHECKING:
-    from rvjax.population.tolerance import Tolerance
+NODES = np.linspace(-9.0, 9.0, 8193)
+"""z of a table's values."""
 
 
 @record
@@ -25,16 +23,16 @@ class Normal(Distribution):
     name = "normal"
     shifts = True
 
-    def deviate(self, tolerance: "Tolerance", z: jax.Array) -> Scalar:
+    def deviate(self, tolerance: Tolerance, z: jax.Array) -> Scalar:
         """m + h (shift + z/(3 cp))."""
         return tolerance.middle + tolerance.half_width * (tolerance.shift + z / (3 * tolerance.cp))
 
-    def moments(self, tolerance: "Tolerance") -> Moments:
+    def moments(self, tolerance: Tolerance) -> Moments:
         """Mean m + shift h, variance sigma^2, 0, 3 sigma^4."""
         sigma = 1 / (3 * float(tolerance.cp))
         return stretch((float(tolerance.shift), sigma**2, 0.0, 3 * sigma**4), *_placement(tolerance))
 
-    def is_normal(self, tolerance: "Tolerance") -> bool:
+    def is_normal(self, tolerance: Tolerance) -> bool:
         """Always."""
         return True
 
@@ -46,7 +44,7 @@ class TruncatedNormal(Distribution):
     name = "truncated_normal"
     shifts = True
 
-    def deviate(self, tolerance: "Tolerance", z: jax.Array) -> Scalar:
+    def deviate(self, tolerance: Tolerance, z: jax.Array) -> Scalar:
         """Return the upper half is mirrored, where Phi keeps its digits."""
         cp, shift = tolerance.cp, tolerance.shift
         low, high, upper = -3 * cp * (1 + shift), 3 * cp * (1 - shift), z > 0
@@ -54,7 +52,7 @@ class TruncatedNormal(Distribution):
         cut = ndtri(ndtr(start) + ndtr(side) * (ndtr(end) - ndtr(start)))
         return tolerance.middle + tolerance.half_width * (shift + jnp.where(upper, -cut, cut) / (3 * cp))
 
-    def moments(self, tolerance: "Tolerance") -> Moments:
+    def moments(self, tolerance: Tolerance) -> Moments:
         """Moments of the standard normal cut to [a, b]: M_k = (k-1) M_{k-2} + (a^(k-1) phi(a) - b^(k-1) phi(b))/Z."""
         cp, shift = float(tolerance.cp), float(tolerance.shift)
         a, b = -3 * cp * (1 + shift), 3 * cp * (1 - shift)
@@ -78,11 +76,11 @@ class Lognormal(Distribution):
         if concrete(self.log_sd) and np.any(np.greater(self.log_sd, 9)):  # fourth moment: exp(8 log_sd^2)
             raise bad("log_sd", self.log_sd, "must be at most 9: beyond, its moments exceed every float")
 
-    def deviate(self, tolerance: "Tolerance", z: jax.Array) -> Scalar:
+    def deviate(self, tolerance: Tolerance, z: jax.Array) -> Scalar:
         """Return the upper limit lies at z = 3 cp."""
         return tolerance.lower + 2 * tolerance.half_width * jnp.exp(self.log_sd * (z - 3 * tolerance.cp))
 
-    def moments(self, tolerance: "Tolerance") -> Moments:
+    def moments(self, tolerance: Tolerance) -> Moments:
         """E exp(k s z) = exp(k^2 s^2/2)."""
         s, cp = float(self.log_sd), float(tolerance.cp)
         w = math.expm1(s**2)  # central moments from w: differences of raw ones lose all digits of a small s
@@ -93,7 +91,7 @@ class Lognormal(Distribution):
         scale = 2 * float(tolerance.half_width) * math.exp(-3 * cp * s)
         return stretch((mean, mean**2 * w, third, fourth), float(tolerance.lower), scale)
 
-    def scaled(self, tolerance: "Tolerance", half_width: Scalar) -> dict[str, Scalar]:
+    def scaled(self, tolerance: Tolerance, half_width: Scalar) -> dict[str, Scalar]:
         """About the lower limit, which is a bound of nature."""
         return dict(upper=tolerance.lower + 2 * half_width)
 
@@ -105,11 +103,11 @@ class Uniform(Distribution):
     name = "uniform"
     capable = False
 
-    def deviate(self, tolerance: "Tolerance", z: jax.Array) -> Scalar:
+    def deviate(self, tolerance: Tolerance, z: jax.Array) -> Scalar:
         """m + h (2 Phi(z) - 1)."""
         return tolerance.middle + tolerance.half_width * erf(z / math.sqrt(2))
 
-    def moments(self, tolerance: "Tolerance") -> Moments:
+    def moments(self, tolerance: Tolerance) -> Moments:
         """m, h^2/3, 0, h^4/5."""
         return stretch((0.0, 1 / 3, 0.0, 1 / 5), *_placement(tolerance))
 
@@ -122,13 +120,13 @@ class Triangular(Distribution):
     capable = False
     shifts = True
 
-    def deviate(self, tolerance: "Tolerance", z: jax.Array) -> Scalar:
+    def deviate(self, tolerance: Tolerance, z: jax.Array) -> Scalar:
         """Return the quantile from the nearer end, where Phi keeps its digits."""
         mode, below, above = (1 + tolerance.shift) / 2, ndtr(z), ndtr(-z)
         share = jnp.where(below < mode, jnp.sqrt(below * mode), 1 - jnp.sqrt(above * (1 - mode)))
         return tolerance.lower + 2 * tolerance.half_width * share
 
-    def moments(self, tolerance: "Tolerance") -> Moments:
+    def moments(self, tolerance: Tolerance) -> Moments:
         """Moments of the triangle over -1 .. 1 with mode c: c/3, (3 + c^2)/18, c (c^2 - 9)/135, 2.4 v^2."""
         c = float(tolerance.shift)
         variance = (3 + c**2) / 18
@@ -143,11 +141,11 @@ class Beta(Distribution):
     capable = False
     beta: tuple[float, float] = text("(p, q)")
 
-    def deviate(self, tolerance: "Tolerance", z: jax.Array) -> Scalar:
+    def deviate(self, tolerance: Tolerance, z: jax.Array) -> Scalar:
         """Deviate from a table of the quantile: JAX has no inverse incomplete beta function."""
         return tolerance.lower + 2 * tolerance.half_width * interpolate(z, *_beta_table(*self.beta))
 
-    def moments(self, tolerance: "Tolerance") -> Moments:
+    def moments(self, tolerance: Tolerance) -> Moments:
         """Central moments of B(p, q) in closed form: differences of raw ones lose all digits where it is narrow."""
         p, q = self.beta
         total = p + q
@@ -183,33 +181,61 @@ class Rayleigh(Distribution):
     name = "rayleigh"
     of_vectors = True
 
-    def deviate(self, tolerance: "Tolerance", z: jax.Array) -> Scalar:
+    def deviate(self, tolerance: Tolerance, z: jax.Array) -> Scalar:
         """s sqrt(-2 ln(1 - u)); a vector is two independent N(0, s^2)."""
         scale = tolerance.upper / (3 * tolerance.cp)
         if tolerance.is_vector:
             return scale * z
         return scale * jnp.sqrt(-2 * log_ndtr(-z))  # 1 - u = Phi(-z)
 
-    def moments(self, tolerance: "Tolerance") -> Moments:
+    def moments(self, tolerance: Tolerance) -> Moments:
         """Moments of the magnitude, or of one component."""
         scale = float(tolerance.upper) / (3 * float(tolerance.cp))
         if tolerance.is_vector:
             return 0.0, scale**2, 0.0, 3 * scale**4
         return central(*raw_rayleigh(scale))
 
-    def is_normal(self, tolerance: "Tolerance") -> bool:
+    def is_normal(self, tolerance: Tolerance) -> bool:
         """Return the components of a vector are."""
         return tolerance.is_vector
 
-    def scaled(self, tolerance: "Tolerance", half_width: Scalar) -> dict[str, Scalar]:
+    def scaled(self, tolerance: Tolerance, half_width: Scalar) -> dict[str, Scalar]:
         """About 0."""
         return dict(upper=2 * half_width)
 
-    def check(self, tolerance: "Tolerance") -> None:
+    def check(self, tolerance: Tolerance) -> None:
         """A magnitude begins at 0."""
         if concrete(tolerance.lower) and tolerance.lower != 0:
             raise bad("lower", tolerance.lower, f"must be 0 for {self.name}, a magnitude")
 
 
-def _placement(tolerance: "Tolerance") -> tuple[float, float]:
+def _placement(tolerance: Tolerance) -> tuple[float, float]:
     return float(tolerance.middle), float(tolerance.half_width)
+
+
+def central(m1: float, m2: float, m3: float, m4: float) -> Moments:
+    """Raw moments to mean and central moments."""
+    return m1, m2 - m1**2, m3 - 3 * m1 * m2 + 2 * m1**3, m4 - 4 * m1 * m3 + 6 * m1**2 * m2 - 3 * m1**4
+
+
+def stretch(moments: Moments, origin: float, scale: float) -> Moments:
+    """Moments of origin + scale x from those of x."""
+    mean, variance, third, fourth = moments
+    return origin + scale * mean, scale**2 * variance, scale**3 * third, scale**4 * fourth
+
+
+def raw_rayleigh(scale: float) -> list[float]:
+    """Raw moments 1 .. 4 of a magnitude with this scale: s^k 2^(k/2) Gamma(1 + k/2)."""
+    return [scale**k * 2 ** (k / 2) * math.gamma(1 + k / 2) for k in (1, 2, 3, 4)]
+
+
+def interpolate(z: jax.Array, values: np.ndarray, slopes: np.ndarray) -> jax.Array:
+    """The function with these values and derivatives to z at `NODES`, at z of any shape; constant beyond them."""
+    first, last, step = float(NODES[0]), float(NODES[-1]), float(NODES[1] - NODES[0])
+    position = (jnp.clip(z, first, last) - first) / step
+    left = jnp.clip(position.astype(int), 0, len(NODES) - 2)
+    s = position - left.astype(position.dtype)
+    v, d = jnp.asarray(values, position.dtype), jnp.asarray(slopes * step, position.dtype)
+    rise = v[left + 1] - v[left]
+    curve = (d[left] - rise) * (1 - s) - (d[left + 1] - rise) * s
+    return v[left] + s * (rise + (1 - s) * curve)

@@ -1,19 +1,14 @@
 """Measured parts: an error that follows the values someone has measured."""
 
-from typing import TYPE_CHECKING
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
 
 from rvjax._ground.columns import read_table
-from rvjax.population.distribution import Distribution, Moments, bad
+from rvjax.population.tolerance import Distribution, Moments, Tolerance, bad
 from rvjax.records import IN_ERROR_UNIT, Array, Scalar, concrete, field, is_concrete, record
 from rvjax.units import KNOWN, recognised, unknown_unit
-
-if TYPE_CHECKING:
-    from rvjax.population.tolerance import Tolerance
 
 
 def step_of(values: np.ndarray, digit: float) -> float:
@@ -58,7 +53,7 @@ class Empirical(Distribution):
     capable = False
     values: Array | np.ndarray = field(IN_ERROR_UNIT, "the measured values", shape=("parts",))
 
-    def deviate(self, tolerance: "Tolerance", z: jax.Array) -> Scalar:
+    def deviate(self, tolerance: Tolerance, z: jax.Array) -> Scalar:
         """Order statistics at n Phi(z) + 1/2."""
         values = jnp.asarray(self.values, jnp.result_type(z))
         n = len(values)
@@ -67,7 +62,7 @@ class Empirical(Distribution):
         low, high = values[left], values[jnp.minimum(left + 1, n - 1)]
         return low + (position - left.astype(position.dtype)) * (high - low)
 
-    def moments(self, tolerance: "Tolerance") -> Moments:
+    def moments(self, tolerance: Tolerance) -> Moments:
         """Exact moments of the distribution as sampled: the mean is that of the data.
 
         A piece from a to b holds 1/n of the parts with the central moments sum_i a^i b^(k-i)/(k+1), the ends 1/(2n).
@@ -82,7 +77,7 @@ class Empirical(Distribution):
             found.append(float(np.sum(pieces) + (x[0] ** k + x[-1] ** k) / 2) / n)
         return found[0], found[1], found[2], found[3]
 
-    def scaled(self, tolerance: "Tolerance", half_width: Scalar) -> dict[str, Scalar]:
+    def scaled(self, tolerance: Tolerance, half_width: Scalar) -> dict[str, Scalar]:
         """Limits and values about the mid-point of the limits."""
         old = tolerance.half_width
         if is_concrete(old) and old == 0:

@@ -8,10 +8,16 @@ from rvjax._ground.progress import progress_bar
 from rvjax._jax.checks import checked
 from rvjax.population import Correlation
 from rvjax.response import DesignResponse, Response, unwrapped
+from rvjax.tolerances.allocation.decisions import ROUNDING
+from rvjax.tolerances.allocation.grades import Grades
 from rvjax.tolerances.allocation.problem import problem_of
+from rvjax.tolerances.allocation.programme import MET
+from rvjax.tolerances.allocation.ranges import ranges
 from rvjax.tolerances.allocation.result import Allocation
 from rvjax.tolerances.allocation.search import Search
+from rvjax.tolerances.allocation.shortage import least_shortage, refused
 from rvjax.tolerances.allocation.variable import Middle, Variable
+from rvjax.tolerances.allocation.yields import costs_of_yields
 from rvjax.tolerances.batch.memo import Memo
 
 
@@ -85,4 +91,35 @@ def allocate(
     )  # fmt: skip
     with progress_bar(progress, None, "searching", "step") as advance:
         search = Search(dataclasses.replace(problem, advance=advance))
-        return unwrapped(search.solution(grades=grades, yields=yields))
+        return unwrapped(solution(search, grades=grades, yields=yields))
+
+
+def solution(search: Search, *, grades: bool, yields: Sequence[float]) -> Allocation:
+    """The cheapest certified vector, or the least shortage.
+
+    Args:
+        search: of the problem.
+        grades: also the cheapest with half-widths of ISO 286 grades.
+        yields: other targets of all shares, for the cost curve.
+    """
+    end = search.learned()
+    if end.look.excess > MET or search.constraints.missed(end.look) > ROUNDING:
+        shortage = least_shortage(search, end.look.x)
+        if shortage.look.excess > MET:
+            return refused(search, shortage)
+        end = search.run(shortage.look.x)
+    found, end = search.certified(end)
+    kept = search.constraints.rejects.copy(), search.constraints.moved.copy()
+    if grades and search.problem.priced and found.feasible:
+        rounded, look = Grades(search).rounded(end, found)
+        if rounded.status == "OPTIMAL" and found.status == "NOT_CERTIFIED":  # grades near it are the set
+            status = search.status(rounded.certificate, end, found.learned, look)
+            found = dataclasses.replace(rounded, status=status, grades=None)
+        found = dataclasses.replace(found, graded=rounded)
+    search.constraints.rejects, search.constraints.moved = kept
+    count = search.constraints.count
+    found = dataclasses.replace(found, curve=costs_of_yields(search, end, yields))
+    if search.problem.variables and search.rays is None:
+        search.constraints.rejects, search.constraints.moved = kept[0], kept[1].copy()
+        found = dataclasses.replace(found, ranges=ranges(search.constraints, search.programme, end))
+    return dataclasses.replace(found, evaluations=search.evaluations(count))

@@ -188,7 +188,7 @@ class Certifier:
                 shown = max(1 - figure.value, 1e-3 * constraints.target(k))
                 wanted = constraints.target(k) / (1 + (deviate + SPARE) * figure.error / shown)
             elif smooth is not None and wanted * n > _ROUGH and (shown > wanted) == (smooth[k] > wanted):
-                shown = smooth[k]
+                shown = max(shown, smooth[k]) if shown > wanted else smooth[k]  # a miss moves by a unit at least
             ratio = reached[k] / rejects[k] * wanted / shown
             rejects[k] = min(rejects[k] * float(np.clip(ratio, 1 / _MOST, _MOST)), 0.5)
         return rejects, moved

@@ -23,7 +23,7 @@ from rvjax.tolerances.allocation.nominal import NominalOutputs
 from rvjax.tolerances.allocation.problem import Problem
 from rvjax.tolerances.allocation.sample import Units, Values
 from rvjax.tolerances.allocation.tails import Centres, Quantile, TailSample, centres_of, quantile
-from rvjax.tolerances.allocation.whole_sample import mean_loss, statistic, worst_case
+from rvjax.tolerances.allocation.whole_sample import WholeSample
 from rvjax.tolerances.requirements.limits import Limits
 
 FEW = 512
@@ -37,7 +37,7 @@ _HALVINGS = 16  # of a factor of 100: an error of 1e-4
 _SMALL = 1e-3  # way of a limit in parts of the spread, where the median lies beyond it
 
 
-class Constraints:
+class Constraints(WholeSample):
     """Constraints of a problem on a sample of units."""
 
     def __init__(self, problem: Problem, decisions: Decisions) -> None:
@@ -187,15 +187,15 @@ class Constraints:
                 if sloped and len(seen.units) and math.isfinite(seen.level):
                     pulls.append((k, seen, {name: pull[seen.units] * seen.weights for name, pull in outward.items()}))
             elif row.exact:
-                used[k], jacobian[k] = worst_case(self, k, x)
+                used[k], jacobian[k] = self.worst_case(k, x)
             else:
-                used[k], jacobian[k] = statistic(self, k, x, sloped=sloped)
+                used[k], jacobian[k] = self.statistic(k, x, sloped=sloped)
             used[k] += 0.0 if row.nominal else self.moved[k]
         for (k, seen, _), each in zip(pulls, self._slopes(x, pulls)):
             jacobian[k] = each.sum(axis=1)
             errors[k] = np.sqrt(((each - np.outer(jacobian[k], seen.weights)) ** 2).sum(axis=1))
         cost, slopes, _ = decisions.cost(x)
-        loss, pull = mean_loss(self, x, sloped=sloped)
+        loss, pull = self.mean_loss(x, sloped=sloped)
         powers = np.array([row.power for row in self.rows])
         return Look(x, cost, slopes, priced, towards, loss, pull, used, jacobian, errors, powers)
 

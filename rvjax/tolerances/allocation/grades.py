@@ -7,7 +7,7 @@ half-widths. The model is taken again at each set that it proposes, because it i
 
 import dataclasses
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy
@@ -18,10 +18,8 @@ from rvjax.tolerances.allocation.cost import Cost
 from rvjax.tolerances.allocation.look import Look
 from rvjax.tolerances.allocation.programme import AGAIN, COARSE, MET, End, expansion
 from rvjax.tolerances.allocation.result import Allocation
+from rvjax.tolerances.allocation.search import Search
 from rvjax.tolerances.batch.statistics import Statistics
-
-if TYPE_CHECKING:
-    from rvjax.tolerances.allocation.search import Search
 
 _FINE = 48  # half-widths of a field without grades, in its range
 _SETS = 12  # sets that are looked at before each certificate, at most
@@ -33,7 +31,7 @@ Places = dict[int, int]
 class Grades:
     """Grades of the fields with a size; half-widths of the other fields are fitted to them."""
 
-    def __init__(self, search: "Search") -> None:
+    def __init__(self, search: Search) -> None:
         self._search, self._decisions = search, search.decisions
         priced, active = self._decisions.priced, self._decisions.base.active
         self.ladders = {j: _ladder(active[name].size, cost) for j, (name, cost) in enumerate(priced.items())}

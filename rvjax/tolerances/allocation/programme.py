@@ -1,9 +1,10 @@
 """Search in a trust region: the cheapest vector of decisions that meets all constraints of a sample.
 
 Around a vector powers of the used ways are linear in powers of the half-widths, and quadratic in mid-points and
-numbers: what was seen at another vector gives the curvature. Costs are exact. Outputs without errors take one unit:
-they are looked at again at the end of each step of the model until it is right there. An interior point method solves
-the model within a box; an excess over a limit has a price. A step is taken where it gains enough of what was promised.
+numbers: derivatives that were seen at another vector give the curvature. Costs are exact. Outputs without errors take
+one unit: they are looked at again at the end of each step of the model until it is right there. An interior point
+method solves the model within a box; an excess over a limit has a price. A step is taken where it gains enough of what
+was promised.
 """
 
 import dataclasses
@@ -45,7 +46,7 @@ _LOST = 3.0  # excess of a limit whose units fail, in parts of its way
 _PRICE, _DEARER_BY, _DEARER = 2.0, 10.0, 1e4  # of an excess of a whole way, in costs; its growth, and the most
 _STRAIGHTER = 4  # times at the end of a search, at most, at which what was learned of curvatures is reduced
 _ROUNDS = 8  # of the model, each with these outputs seen at the end of the one before
-_BENT = 0.03  # of a reach: the errors of a shorter step are not those of a curvature
+_BENT = 1e-4  # of a reach: derivatives at the ends of a shorter step differ by rounding
 _NOTHING = 1e-3  # of the sum of slopes, a cost that is next to nothing
 
 
@@ -92,7 +93,6 @@ class Programme:
         self._first = len(self.decisions.fields)
         self.bends = np.zeros((len(constraints.rows) + 1, self.decisions.size, self.decisions.size))
         """Learned curvatures (c + 1, n, n) of powers of the used ways, and of the loss, in reaches."""
-        self._kept = self.bends
         self.weights: np.ndarray | None = None
         """Prices (c,) of excesses where these are all that counts, else None."""
 
@@ -109,7 +109,6 @@ class Programme:
         here, looks = self._look(np.clip(start, self.low, self.high)), 1
         size = self._size(here)
         elastic = np.full(len(here.used), _PRICE * size) if self.weights is None else self.weights
-        self.bends = self._kept
         settled, straight, least = False, 0, _LEAST[self.constraints.problem.costly]
         while looks < most:
             size = self._size(here)
@@ -123,8 +122,8 @@ class Programme:
                 if radius >= least and self.weights is None and broken.any() and elastic.max() < _DEARER * size:
                     elastic = np.where(broken, _DEARER_BY * elastic, elastic)
                     continue
-                if self._kept.any() and straight < _STRAIGHTER and self.end(here).residual > STATIONARY:
-                    self.bends = self._kept = self._kept / _SHORTER**2  # of longer steps: they promise nothing here
+                if self.bends.any() and straight < _STRAIGHTER and self.end(here).residual > STATIONARY:
+                    self.bends = self.bends / _SHORTER**2  # of longer steps: they promise nothing here
                     straight, radius = straight + 1, max(radius, AGAIN)
                     continue
                 settled = True
@@ -132,11 +131,10 @@ class Programme:
             there, looks = self._look(plan.x), looks + 1
             gained = self._merit(here, elastic) - self._merit(there, elastic)
             step = float(np.abs((plan.x - here.x) / self.decisions.reach).max())
+            self._learn(here, there)
             if gained < _TAKEN * promised or not math.isfinite(gained):
                 radius = min(radius, step) / _SHORTER
-                self._learn(here, there, taken=False)
                 continue
-            self._learn(there, here, taken=True)
             if gained > _GOOD * promised:
                 radius = min(2 * RADIUS, max(radius, 2 * step))
             elif gained < (1 - _GOOD) * promised:
@@ -265,29 +263,30 @@ class Programme:
         """Derivatives (c + 1, n) of the learned part of the model at a step."""
         return np.asarray(self.bends @ (moved / self.decisions.reach) / self.decisions.reach)
 
-    def _learn(self, here: Look, there: Look, *, taken: bool) -> None:
-        """Bend the model around a look so that it has the values seen at another one.
+    def _learn(self, here: Look, there: Look) -> None:
+        """Bend the model along mid-points and numbers so that it has the derivatives seen at another look.
 
-        A step that was not taken bends it along the whole step, until one is taken. One that was taken bends it for
-        good along mid-points and numbers, by their part of the step: the model of half-widths is less wrong.
+        The change is the least one that is symmetric (Powell 1970), times the part of the step that these decisions
+        have: the model of half-widths is less wrong. Derivatives of few units count less two standard errors.
         """
-        if taken:
-            self.bends = self._kept
-        step = (there.x - here.x) / self.decisions.reach
-        numbers = np.where(np.arange(len(step)) < self._first, 0.0, step) if taken else step
-        if math.sqrt(numbers @ numbers) < _BENT:
+        whole = (there.x - here.x) / self.decisions.reach
+        numbers = np.arange(len(whole)) >= self._first
+        step = np.where(numbers, whole, 0.0)
+        square = float(step @ step)
+        if math.sqrt(square) < _BENT:
             return
-        part = float(numbers @ numbers / (step @ step))
-        told = np.append(
-            self._powers(here, there.x)[0], self._total(here, there.x)[0] - self.decisions.cost(there.x)[0]
-        )
-        error = np.append(_power(there), there.loss) - told
+        told = np.vstack([self._powers(here, there.x)[1], self._total(here, there.x)[1] - there.slopes])
+        seen = np.vstack([expansion(there)[1], there.loss_slopes])
+        noise = 2 * np.hypot(here.errors, there.errors) * np.maximum(_rate(here), _rate(there))
         known = np.append(np.isfinite(here.used) & np.isfinite(there.used), math.isfinite(there.loss))
-        error = np.where(known, part * error, 0.0) if taken else np.where(known, np.maximum(error, 0.0), 0.0)
-        bent = self.bends + 2 * error[:, None, None] * np.outer(numbers, numbers) / float(numbers @ numbers) ** 2
+        error = np.where(known[:, None], seen - told, 0.0)
+        error[:-1] = np.sign(error[:-1]) * np.maximum(np.abs(error[:-1]) - noise, 0.0)
+        error *= self.decisions.reach * numbers * square / float(whole @ whole)
+        cross = error[:, :, None] * step / square
+        bent = self.bends + cross + cross.transpose(0, 2, 1)
+        bent -= (error @ step)[:, None, None] * np.outer(step, step) / square**2
         values, vectors = np.linalg.eigh(bent)  # a model without negative curvatures has one minimum
         self.bends = np.einsum("kij,kj,klj->kil", vectors, np.maximum(values, 0.0), vectors)
-        self._kept = self.bends if taken else self._kept
 
     # The order of vectors.
 
@@ -308,10 +307,13 @@ def expansion(look: Look) -> tuple[np.ndarray, np.ndarray]:
     Args:
         look: where units do not fail.
     """
-    slope = np.where(
-        look.powers == 1, 1.0, look.powers * np.maximum(np.where(np.isfinite(look.used), look.used, 1.0), _FLAT)
-    )
-    return _power(look), slope[:, None] * look.jacobian
+    return _power(look), _rate(look) * look.jacobian
+
+
+def _rate(look: Look) -> np.ndarray:
+    """Derivatives (c, 1) of powers of the used ways to these."""
+    used = np.maximum(np.where(np.isfinite(look.used), look.used, 1.0), _FLAT)
+    return np.where(look.powers == 1, 1.0, look.powers * used)[:, None]
 
 
 def _power(look: Look) -> np.ndarray:

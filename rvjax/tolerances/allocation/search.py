@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,18 +9,14 @@ import numpy as np
 from rvjax.tolerances.allocation.certificate import TESTS, Certifier
 from rvjax.tolerances.allocation.constraints import FEW, SPARE, Constraints
 from rvjax.tolerances.allocation.decisions import ROUNDING
-from rvjax.tolerances.allocation.grades import Grades
 from rvjax.tolerances.allocation.lists import Lists, Places
 from rvjax.tolerances.allocation.look import FAILED, Look
 from rvjax.tolerances.allocation.prices import intervals, margins_of, prices_of, value_prices
 from rvjax.tolerances.allocation.problem import QUICK, Problem
 from rvjax.tolerances.allocation.programme import AGAIN, COARSE, LOOKS, MET, RADIUS, STATIONARY, End, Programme
-from rvjax.tolerances.allocation.ranges import ranges
 from rvjax.tolerances.allocation.rays import Rays
 from rvjax.tolerances.allocation.result import Allocation, bounds_active
-from rvjax.tolerances.allocation.shortage import least_shortage, refused
 from rvjax.tolerances.allocation.starts import rivals, starts
-from rvjax.tolerances.allocation.yields import costs_of_yields
 from rvjax.tolerances.batch.statistics import Statistics
 from rvjax.tolerances.loss import expected_losses
 
@@ -54,38 +49,9 @@ class Search:
         self._last = False
         """True once the sample does not grow any more."""
 
-    def solution(self, *, grades: bool = False, yields: Sequence[float] = ()) -> Allocation:
-        """The cheapest certified vector, or the least shortage.
-
-        Args:
-            grades: also the cheapest with half-widths of ISO 286 grades.
-            yields: other targets of all shares, for the cost curve.
-        """
-        end = self._learned()
-        if end.look.excess > MET or self.constraints.missed(end.look) > ROUNDING:
-            shortage = least_shortage(self, end.look.x)
-            if shortage.look.excess > MET:
-                return refused(self, shortage)
-            end = self.run(shortage.look.x)
-        found, end = self._certified(end)
-        kept = self.constraints.rejects.copy(), self.constraints.moved.copy()
-        if grades and self.problem.priced and found.feasible:
-            rounded, look = Grades(self).rounded(end, found)
-            if rounded.status == "OPTIMAL" and found.status == "NOT_CERTIFIED":  # grades near it are the set
-                status = self._status(rounded.certificate, end, found.learned, look)
-                found = dataclasses.replace(rounded, status=status, grades=None)
-            found = dataclasses.replace(found, graded=rounded)
-        self.constraints.rejects, self.constraints.moved = kept
-        count = self.constraints.count
-        found = dataclasses.replace(found, curve=costs_of_yields(self, end, yields))
-        if self.problem.variables and self.rays is None:
-            self.constraints.rejects, self.constraints.moved = kept[0], kept[1].copy()
-            found = dataclasses.replace(found, ranges=ranges(self.constraints, self.programme, end))
-        return dataclasses.replace(found, evaluations=self.evaluations(count))
-
     # The search on a growing sample.
 
-    def _learned(self) -> End:
+    def learned(self) -> End:
         """The end of the search on the last sample, before any certificate."""
         problem, constraints, decisions = self.problem, self.constraints, self.decisions
         start = decisions.start
@@ -210,7 +176,7 @@ class Search:
 
     # Certificates.
 
-    def _certified(self, end: End) -> tuple[Allocation, End]:
+    def certified(self, end: End) -> tuple[Allocation, End]:
         """The end of a search, corrected by certificates until one holds with a small margin, and its result."""
         end = self._enough(end)
         learned, best = self._before(end), None
@@ -279,7 +245,7 @@ class Search:
         spared, cost = self._gain(end, targets, self.constraints.moved), end.look.total - end.look.loss
         return cost * math.exp(-spared / cost) if cost > 0 else cost - spared
 
-    def _status(self, seen: Statistics, end: End, learned: float, look: Look) -> str:
+    def status(self, seen: Statistics, end: End, learned: float, look: Look) -> str:
         """Status of a look: of an end, or of grades near it; a set of grades by itself is OPTIMAL if certified."""
         exact = self.constraints.missed(look) <= ROUNDING
         if not (self.certifier.holds(seen) and exact):
@@ -293,7 +259,7 @@ class Search:
 
     def _result(self, end: End, seen: Statistics, learned: float) -> Allocation:
         """Result of an end that was certified."""
-        found = self.allocation(end.look, seen, self._status(seen, end, learned, end.look), learned)
+        found = self.allocation(end.look, seen, self.status(seen, end, learned, end.look), learned)
         reached, slopes = margins_of(self.constraints, end)
         ways = self.constraints.ways if self.rays is None else self.rays.ways(end.look.x)
         prices = prices_of(self.constraints, end, end.prices, ways)

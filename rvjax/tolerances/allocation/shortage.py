@@ -2,19 +2,16 @@
 
 import dataclasses
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rvjax.tolerances.allocation.decisions import AT, ROUNDING, Decisions
 from rvjax.tolerances.allocation.programme import RADIUS, End
 from rvjax.tolerances.allocation.result import Allocation
-
-if TYPE_CHECKING:
-    from rvjax.tolerances.allocation.search import Search
+from rvjax.tolerances.allocation.search import Search
 
 
-def least_shortage(search: "Search", x: np.ndarray) -> End:
+def least_shortage(search: Search, x: np.ndarray) -> End:
     """The least sum of shortfalls, in parts of their limits, with all half-widths at their finest.
 
     Args:
@@ -34,7 +31,7 @@ def least_shortage(search: "Search", x: np.ndarray) -> End:
     return programme.end(constraints.look(end.look.x))
 
 
-def refused(search: "Search", end: End) -> Allocation:
+def refused(search: Search, end: End) -> Allocation:
     """Result where no vector meets all requirements; a certificate that holds there decides.
 
     Args:
@@ -73,7 +70,7 @@ def refused(search: "Search", end: End) -> Allocation:
     )  # fmt: skip
 
 
-def _helping(search: "Search", end: End) -> tuple[str, str] | None:
+def _helping(search: Search, end: End) -> tuple[str, str] | None:
     """Bound of a number of the design whose move outwards reduces the shortage most."""
     first = len(search.decisions.fields) + len(search.decisions.moves)
     weights = search.constraints.ways / search.constraints.sizes()

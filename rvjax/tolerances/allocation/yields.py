@@ -2,22 +2,19 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rvjax.tolerances.allocation.problem import KEPT
 from rvjax.tolerances.allocation.programme import COARSE, LOOKS, MET, End
+from rvjax.tolerances.allocation.search import Search
 from rvjax.tolerances.batch.statistics import Statistics
-
-if TYPE_CHECKING:
-    from rvjax.tolerances.allocation.search import Search
 
 _FEW = 2048  # costly units of a sample, at most
 _FRESH = 4096  # costly units behind a yield, at most; of quick ones as many as are kept
 
 
-def costs_of_yields(search: "Search", end: End, yields: Sequence[float]) -> list[tuple[float, float]]:
+def costs_of_yields(search: Search, end: End, yields: Sequence[float]) -> list[tuple[float, float]]:
     """(least yield of a requirement, cost) of other targets, ascending; yields are those of independent units.
 
     Args:

@@ -7,10 +7,21 @@ from rvjax._reducer.plausible import shown
 from rvjax.designs import RVReducer
 from rvjax.mounting import unit_errors
 from rvjax.study.kinds.kind import Drawing, Kind
-from rvjax.study.kinds.rv.facts import DERIVED_FROM, FOLLOWING, derivation, facts, followed, implied
-from rvjax.study.kinds.rv.plausible import RATED as RATED, SPEED, TORQUE as TORQUE, doubts, of_another_size, refuse
-from rvjax.study.kinds.rv.sizes import NEEDED, rated_torque
-from rvjax.study.kinds.rv.starts import STARTS
+from rvjax.study.kinds.rv.facts import (
+    DERIVED_FROM,
+    FOLLOWING,
+    RATED as RATED,
+    SPEED,
+    TORQUE as TORQUE,
+    derivation,
+    doubts,
+    facts,
+    followed,
+    implied,
+    of_another_size,
+    refuse,
+)
+from rvjax.study.kinds.rv.starts import NEEDED, STARTS, rated_torque
 
 
 def _caption(design: RVReducer) -> str:

@@ -1,1 +1,0 @@
-"""Random inputs over the domain of every model and beyond it, each checked: `python -m census.extremes`."""
