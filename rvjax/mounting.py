@@ -175,7 +175,7 @@ def _turns(angle: np.ndarray, hand: np.ndarray | int = 1) -> np.ndarray:
     return np.stack([cosine, -hand * sine, sine, hand * cosine], 1).reshape(-1, 2, 2)
 
 
-def drawing(design: PyTree, slot: int) -> int:
+def drawing(design: object, slot: int) -> int:
     """Slot of the drawing of a disc: 0 if such a disc fits, else the slot itself.
 
     Args:

@@ -27,7 +27,7 @@ def torque_condition(conditions: PyTree) -> str:
     return next((f.name for f in dataclasses.fields(conditions) if f.metadata["torque"]), "")
 
 
-def torque_of(conditions: PyTree) -> Any:
+def torque_of(conditions: object) -> Any:
     """Torque of the conditions, N m; 0 for conditions without a torque, None if it is not given."""
     name = torque_condition(conditions)
     return getattr(conditions, name) if name else 0.0
@@ -93,11 +93,11 @@ class Reading:
         """
         return self.sources if self.chosen is None else self.chosen(given)
 
-    def __call__(self, design: Design, errors: PyTree, given: object) -> Solved:
+    def __call__(self, design: Design, errors: object, given: object) -> Solved:
         """The output without the results that it shares."""
         return self.within({}, design, errors, given)
 
-    def within(self, found: dict[Source, PyTree], design: Design, errors: PyTree, given: object) -> Solved:
+    def within(self, found: dict[Source, PyTree], design: Design, errors: object, given: object) -> Solved:
         """The output among others of the same question.
 
         Args:

@@ -29,9 +29,11 @@ from rvjax.tolerances import (
 from rvjax.tolerances.batch import checkpoint
 from rvjax.units import um
 from tests.oracles.linear_pair import COSTS, LIMIT, PAIR, WIDE, linear
+from tests.oracles.responses import Linear
 
 GOOD = (EMBEDDED / "rv-40e.toml").read_text()
 ONE = {"a": Tolerance(-3.0, 3.0)}
+PLAIN = Linear({"a": 1.0})
 
 
 def broken(errors):
@@ -61,7 +63,7 @@ def endless(errors):
 def test_an_infinite_life_meets_a_lower_limit(method, keep):
     """Oracle: counts of the errors themselves. The statistics say how many units are infinite; NaN stays a reject."""
     options = dict(samples=20_000, seed=0, method=method, keep=keep, quantiles=(0.5, 0.95))
-    a = np.asarray(monte_carlo(lambda e: e["a"], ONE, **(options | dict(keep=True))).values)
+    a = np.asarray(monte_carlo(PLAIN, ONE, **(options | dict(keep=True))).values)
     found = monte_carlo(endless, ONE, requirements=Requirement(lower=9.0), **options)
     mirrored = monte_carlo(lambda e: -endless(e), ONE, requirements=Requirement(upper=-9.0), **options)
     assert found.infinite == mirrored.infinite == (a > 1).sum() > 3000
@@ -161,7 +163,7 @@ def test_units_that_fit_no_memory_are_refused():
 def test_a_full_disk_where_warnings_are_errors(tmp_path, monkeypatch, capsys):
     """The study ends with the same numbers, and the older checkpoint stays."""
     options = dict(samples=4000, seed=1, chunk=1000)
-    expected = monte_carlo(lambda e: e["a"], ONE, **options)
+    expected = monte_carlo(PLAIN, ONE, **options)
     calls = []
 
     def full(path, content):
@@ -173,13 +175,13 @@ def test_a_full_disk_where_warnings_are_errors(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(checkpoint, "write_atomically", full)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = monte_carlo(lambda e: e["a"], ONE, checkpoint=tmp_path / "c", checkpoint_every=0, **options)
+        found = monte_carlo(PLAIN, ONE, checkpoint=tmp_path / "c", checkpoint_every=0, **options)
     assert found.mean == expected.mean and len(calls) > 3
     assert [path.name for path in tmp_path.iterdir()] == ["c"]
 
 
 def test_a_full_disk_leaves_the_older_result(tmp_path, monkeypatch):
-    result, path = monte_carlo(lambda e: e["a"], ONE, samples=100, seed=1), tmp_path / "a.json"
+    result, path = monte_carlo(PLAIN, ONE, samples=100, seed=1), tmp_path / "a.json"
     save(result, path)
     before = path.read_bytes()
 
@@ -231,15 +233,13 @@ def test_a_folder_that_cannot_be_written(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(checkpoint, "write_atomically", read_only)
         with pytest.raises(OSError, match="Read-only"):
-            monte_carlo(lambda e: e["a"], ONE, checkpoint=tmp_path / "c", **options)
+            monte_carlo(PLAIN, ONE, checkpoint=tmp_path / "c", **options)
     assert not list(tmp_path.iterdir())
-    expected = monte_carlo(lambda e: e["a"], ONE, checkpoint=tmp_path / "c", **options)
+    expected = monte_carlo(PLAIN, ONE, checkpoint=tmp_path / "c", **options)
     before = (tmp_path / "c").read_bytes()
     monkeypatch.setattr(checkpoint, "write_atomically", read_only)
     with pytest.warns(RuntimeWarning, match="cannot be written"):
-        found = monte_carlo(
-            lambda e: e["a"], ONE, checkpoint=tmp_path / "c", checkpoint_every=0, **(options | {"samples": 6000})
-        )
+        found = monte_carlo(PLAIN, ONE, checkpoint=tmp_path / "c", checkpoint_every=0, **(options | {"samples": 6000}))
     assert found.samples == 6000 and (tmp_path / "c").read_bytes() == before
     assert expected.samples == 3000
 
@@ -247,10 +247,10 @@ def test_a_folder_that_cannot_be_written(tmp_path, monkeypatch):
 def test_a_write_that_was_cut_off_is_not_read(tmp_path):
     """What a killed process leaves beside a checkpoint is a part of a file: the whole one counts."""
     options = dict(samples=3000, seed=1, chunk=1000)
-    expected = monte_carlo(lambda e: e["a"], ONE, **options)
-    monte_carlo(lambda e: e["a"], ONE, checkpoint=tmp_path / "c", **(options | {"samples": 1000}))
+    expected = monte_carlo(PLAIN, ONE, **options)
+    monte_carlo(PLAIN, ONE, checkpoint=tmp_path / "c", **(options | {"samples": 1000}))
     (tmp_path / ("c" + PARTIAL)).write_bytes((tmp_path / "c").read_bytes()[:100])
-    found = monte_carlo(lambda e: e["a"], ONE, checkpoint=tmp_path / "c", **options)
+    found = monte_carlo(PLAIN, ONE, checkpoint=tmp_path / "c", **options)
     assert found.mean == expected.mean and found.sd == expected.sd
 
 

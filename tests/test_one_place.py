@@ -193,7 +193,7 @@ finest = "1 um"
 coarsest = "100 um"
 [run]
 samples = 4096
-certificate_samples = 65536
+certificate_samples = 80000
 """
 
 

@@ -218,6 +218,6 @@ def test_an_infinite_life_is_no_margin_to_search_by():
     endless = Estimate(math.inf, 0.0, math.inf, math.inf)
     assert WorstCaseWithin(lower=1.0).holds(endless) and not WorstCaseWithin(upper=1.0).holds(endless)
     one = {"a": Tolerance.symmetric(3.0)}
+    life = lambda e: jnp.where(e["a"] > 1, jnp.inf, 10 + e["a"])  # noqa: E731
     for item, met in ((WorstCaseWithin(lower=6.0), True), (WorstCaseWithin(upper=20.0), False)):
-        life = lambda e: jnp.where(e["a"] > 1, jnp.inf, 10 + e["a"])  # noqa: E731
         assert monte_carlo(life, one, samples=100, seed=0, requirements=item).verdicts.met is met

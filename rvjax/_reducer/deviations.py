@@ -100,7 +100,7 @@ def share(more: str, part: str, read_by: tuple[str, ...] = (), *, of: str = "") 
     return deviation("-", f"share by which {more}", part, read_by, of=of)
 
 
-def described(errors: PyTree, key: str) -> dict[str, PyTree]:
+def described(errors: object, key: str) -> dict[str, PyTree]:
     """Metadata of the fields that have it, by field: `described(RVErrors, "placed")`.
 
     Args:
@@ -115,7 +115,7 @@ def _described(cls: type[Record], key: str) -> dict[str, PyTree]:
     return {f.name: f.metadata[key] for f in dataclasses.fields(cls) if f.metadata.get(key)}
 
 
-def read_by(errors: PyTree, model: str) -> tuple[str, ...]:
+def read_by(errors: object, model: str) -> tuple[str, ...]:
     """Names of the errors that a model reads.
 
     Args:
@@ -125,7 +125,7 @@ def read_by(errors: PyTree, model: str) -> tuple[str, ...]:
     return tuple(name for name, models in described(errors, "read_by").items() if model in models)
 
 
-def placed_by(errors: PyTree, model: str) -> tuple[str, ...]:
+def placed_by(errors: object, model: str) -> tuple[str, ...]:
     """Names of the errors with a place that a model reads, or has a bound for.
 
     Args:
@@ -174,7 +174,7 @@ class Errors(Record):
             remind_of_precision()
 
     @classmethod
-    def for_design(cls, design: Design, **errors: PyTree) -> Self:
+    def for_design(cls, design: Design, **errors: object) -> Self:
         """Errors with full array shapes; a scalar for an array field is broadcast.
 
         Args:

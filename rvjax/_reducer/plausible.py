@@ -74,7 +74,7 @@ def accept(design: object) -> bool:
     return True
 
 
-def doubtful(design: PyTree, units: tuple[str, ...] = (), far: float = FAR) -> list[str]:
+def doubtful(design: object, units: tuple[str, ...] = (), far: float = FAR) -> list[str]:
     """Values of a design that are far from those of every known reducer, a line each.
 
     Args:
@@ -91,7 +91,7 @@ def doubtful(design: PyTree, units: tuple[str, ...] = (), far: float = FAR) -> l
     ]
 
 
-def steep(design: PyTree) -> list[str]:
+def steep(design: object) -> list[str]:
     """A line for harmonics of a profile modification that are too steep for models of first order, else nothing.
 
     Args:
@@ -119,7 +119,7 @@ def sharp_from(cycloid: PyTree) -> float:
     return float(cycloid.pin_radius) + float(_room(cycloid))
 
 
-def undercut(design: PyTree) -> list[str]:
+def undercut(design: object) -> list[str]:
     """A line for pins that cut into the flank of the discs, else nothing.
 
     Args:

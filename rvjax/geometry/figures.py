@@ -84,7 +84,7 @@ def largest_share(pins: int) -> float:
     return float(shares.max())
 
 
-def _harmless_drive(read: PyTree) -> PyTree:
+def _harmless_drive(read: object) -> PyTree:
     """A drive that exists, in the place of one that does not."""
     cycloid, output, contact, torque = jax.tree.map(jnp.ones_like, read)
     contact = contact and of_steel(contact)
@@ -167,7 +167,7 @@ def _rv_figures(read: PyTree) -> Figures:
     return Figures(**values, **own, pin_pressure=pressure, info=info)
 
 
-def _harmless_rv(read: PyTree) -> PyTree:
+def _harmless_rv(read: object) -> PyTree:
     """A reducer that exists, in the place of one that does not."""
     gears, cycloid, _, contact, *_ = ones = jax.tree.map(jnp.ones_like, read)
     gears = gears.replace(sun_base_radius=0.3, planet_base_radius=0.6, pressure_angle=0.35)

@@ -34,7 +34,7 @@ def of_design(design: RVReducer, errors: RVErrors, conditions: Any) -> Figures:
 
 
 def _taking(name: str) -> Callable[..., Solved]:
-    def take(values: Figures, design: RVReducer, conditions: Any) -> Solved:
+    def take(values: Figures, design: RVReducer, conditions: object) -> Solved:
         status = jnp.asarray(values.info.status)
         if name not in ("pin_pressure", "hole_pressure"):  # the other figures hold for an undercut flank too
             status = jnp.where(status == Status.UNDERCUT, Status.CONVERGED, status)
@@ -44,7 +44,7 @@ def _taking(name: str) -> Callable[..., Solved]:
 
 
 def _needing(part: str) -> Callable[[Any, Any], None]:
-    def refuse(design: RVReducer, conditions: Any) -> None:
+    def refuse(design: RVReducer, conditions: object) -> None:
         if design.cycloid.pin_count != design.cycloid.disc_teeth + 1:
             raise ValueError(
                 f"design.cycloid.pin_count = {design.cycloid.pin_count}: must be disc_teeth + 1 = "

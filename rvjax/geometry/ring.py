@@ -66,7 +66,7 @@ def of_flank(cycloid: CycloidStage, ground: Ground, plain: Array) -> tuple[Array
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def largest(function: Callable[[Array, PyTree], Array], grid: np.ndarray, given: PyTree) -> Array:
+def largest(function: Callable[[Array, PyTree], Array], grid: np.ndarray, given: object) -> Array:
     """Largest value of a function of the lobe angle; its derivative is that at the place of the largest value.
 
     Args:
@@ -79,14 +79,17 @@ def largest(function: Callable[[Array, PyTree], Array], grid: np.ndarray, given:
 
 @largest.defjvp
 def _largest_jvp(
-    function: Callable[[Array, PyTree], Array], grid: np.ndarray, primals: PyTree, tangents: PyTree
+    function: Callable[[Array, PyTree], Array],
+    grid: np.ndarray,
+    primals: tuple[jax.Array, ...],
+    tangents: tuple[jax.Array, ...],
 ) -> PyTree:
     place = _place(function, grid, *primals)
     return jax.jvp(lambda given: function(place[None], given)[0], primals, tangents)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def _place(function: Callable[[Array, PyTree], Array], grid: np.ndarray, given: PyTree) -> Array:
+def _place(function: Callable[[Array, PyTree], Array], grid: np.ndarray, given: object) -> Array:
     """The best of a grid, refined by parabolas."""
     dtype, step = jax.tree.leaves(given)[0].dtype, float(grid[1] - grid[0])
     place = jnp.asarray(grid, dtype)[jnp.argmax(function(jnp.asarray(grid, dtype), given))]
@@ -99,12 +102,15 @@ def _place(function: Callable[[Array, PyTree], Array], grid: np.ndarray, given: 
 
 @_place.defjvp
 def _place_jvp(
-    function: Callable[[Array, PyTree], Array], grid: np.ndarray, primals: PyTree, tangents: PyTree
+    function: Callable[[Array, PyTree], Array],
+    grid: np.ndarray,
+    primals: tuple[jax.Array, ...],
+    tangents: tuple[jax.Array, ...],
 ) -> PyTree:
     """Second derivatives of the value need dplace = -df' / f'', from f' = 0."""
     place = _place(function, grid, *primals)
 
-    def rate(place: Array, given: PyTree) -> Array:
+    def rate(place: Array, given: object) -> Array:
         return jax.jvp(lambda psi: function(psi[None], given)[0], (place,), (jnp.ones_like(place),))[1]
 
     bow = jax.jvp(lambda psi: rate(psi, *primals), (place,), (jnp.ones_like(place),))[1]

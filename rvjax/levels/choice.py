@@ -55,7 +55,7 @@ def choose(
     outputs: Sequence[str],
     conditions: object,
     *,
-    tolerances: PyTree,
+    tolerances: object,
     accuracy: Mapping[str, float],
     table: Table | None = None,
 ) -> dict[str, Choice]:
@@ -119,7 +119,7 @@ def choose(
     return {name: choices[name] for name in outputs if name in choices}
 
 
-def as_given(design: Design, outputs: Sequence[str], conditions: object, *, tolerances: PyTree) -> dict[str, Choice]:
+def as_given(design: Design, outputs: Sequence[str], conditions: object, *, tolerances: object) -> dict[str, Choice]:
     """Level that the conditions select for each output, with its measured error and time.
 
     Args:
@@ -188,7 +188,7 @@ def _known(models: Iterable[Model], output: str, conditions: object) -> list[Mod
     ]
 
 
-def _model(known: Sequence[Model], design: PyTree, conditions: PyTree, tolerances: PyTree) -> tuple[Model, str]:
+def _model(known: Sequence[Model], design: object, conditions: object, tolerances: object) -> tuple[Model, str]:
     """The model that fits the conditions and, of these, the errors; and why its measurements do not hold."""
     numbers = design_numbers(design)
     given = {*reach(tolerances), *numbers}
@@ -229,7 +229,7 @@ def _overridden(design: PyTree, prefix: str = "") -> dict[str, Scalar]:
     return values
 
 
-def _size(model: Model, tolerances: PyTree) -> tuple[float, str]:
+def _size(model: Model, tolerances: object) -> tuple[float, str]:
     """Size of the errors in units of those measured, the largest of all fields; and why it was not measured."""
     # A field that is not in the table is one that the model does not read.
     shares = {name: value / model.errors[name] for name, value in reach(tolerances).items() if name in model.errors}
@@ -278,7 +278,7 @@ def equilibrium_times() -> dict[str, Any]:
     return tomllib.loads((resources.files("rvjax.levels") / "equilibria.toml").read_text("utf-8"))
 
 
-def sources_of(design: PyTree, output: str) -> tuple[Source, ...]:
+def sources_of(design: object, output: str) -> tuple[Source, ...]:
     """Results that an output reads, if the number of equilibria of each is known, else none.
 
     Args:

@@ -49,7 +49,7 @@ def alternate(
 
 
 def compiled(
-    function: Callable[..., PyTree], *arguments: PyTree, options: Options = ()
+    function: Callable[..., PyTree], *arguments: object, options: Options = ()
 ) -> tuple[jax.stages.Compiled, dict[str, float]]:
     """A function compiled for `arguments` with options of XLA, with compile seconds and temporary memory in MB."""
     start = time.perf_counter()
@@ -235,7 +235,7 @@ def measure_model(cases: Cases, *, seed: int, seconds: float = 0.3) -> Model:
     )
 
 
-def _cast(tree: PyTree, precision: str) -> PyTree:
+def _cast(tree: object, precision: str) -> PyTree:
     return jax.tree.map(lambda x: jnp.asarray(x, precision), tree)
 
 

@@ -211,12 +211,12 @@ def stored() -> Table:
     return Table.load(resources.files("rvjax.levels") / "table.json")
 
 
-def _tuples(value: PyTree) -> PyTree:
+def _tuples(value: object) -> PyTree:
     """A table of a condition as conditions hold it."""
     return tuple(map(_tuples, value)) if isinstance(value, list) else value
 
 
-def _plain(value: PyTree) -> PyTree:
+def _plain(value: object) -> PyTree:
     """Replace infinity, which JSON lacks: a level that fails has null for its error."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}

@@ -113,7 +113,7 @@ def _lowest(flank: Flank, position: jax.Array) -> jax.Array:
 
 
 @_lowest.defjvp
-def _lowest_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
+def _lowest_jvp(primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]) -> PyTree:
     (flank, position), (dflank, _) = primals, tangents
     return jax.jvp(lambda f: free_rotation(position, f), (flank,), (dflank,))
 

@@ -49,7 +49,7 @@ def hysteresis_loop(
 
 
 @jax.jit
-def _hysteresis_loop(*numbers: PyTree) -> jax.Array:
+def _hysteresis_loop(*numbers: object) -> jax.Array:
     torque, play, stiffness, friction, smoothing = promote(*numbers)
 
     def play_operator(before: jax.Array, now: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -103,7 +103,7 @@ def loop_figures(
 
 
 @jax.jit
-def _loop_figures(*numbers: PyTree) -> LoopFigures:
+def _loop_figures(*numbers: object) -> LoopFigures:
     x, limit, play, stiffness, friction, smoothing = promote(*numbers)
 
     def angle(torque: jax.Array) -> jax.Array:

@@ -74,7 +74,7 @@ def geometric(
 
 
 @partial(jax.jit, inline=True, static_argnames=("reading", "profile"))
-def _geometric(numbers: PyTree, *, reading: str, profile: str) -> LostMotion:
+def _geometric(numbers: object, *, reading: str, profile: str) -> LostMotion:
     involute, cycloid, parts, tilt, shift, force = promote(numbers)
     counts = (involute.sun_teeth, involute.planet_teeth, cycloid.disc_teeth, cycloid.pin_count)
     teeth = Teeth(*map(float, counts))
@@ -199,7 +199,7 @@ def _stored(x: jax.Array) -> jax.Array:
 
 
 @_stored.defjvp
-def _stored_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
+def _stored_jvp(primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]) -> PyTree:
     (x,), (dx,) = primals, tangents
     return jnp.square(jnp.sqrt(x)), jnp.zeros_like(dx)
 

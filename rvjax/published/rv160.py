@@ -239,7 +239,7 @@ DRAG = 10.2
 """Fitted rise of the friction torque at the output from 100 to 1000 r/min of the input, N m."""
 
 
-def faster(torque: Any) -> np.ndarray:
+def faster(torque: object) -> np.ndarray:
     """Half of backward less forward transmission error of the fit at 1000 r/min, (n,) rad, at bench torques (n,), N m.
 
     Load and drag both oppose the motion, so `DRAG` adds to the torque of the bench.

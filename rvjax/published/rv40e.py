@@ -32,7 +32,7 @@ ELASTIC_TABLE_2_3 = 0.029 * mm
 ELASTIC_OUTPUT = 0.0929 * mm
 
 
-def _coupler_angle(links: jax.Array, crank_angle: Scalar = RIGHT_ANGLE, **options: PyTree) -> jax.Array:
+def _coupler_angle(links: jax.Array, crank_angle: Scalar = RIGHT_ANGLE, **options: object) -> jax.Array:
     """For deviations of crank 1, coupler, crank 3, frame and of a joint across the frame, (5,) m."""
     crank_1, coupler, crank_3, frame, across = links
     deviations = LinkDeviations(
@@ -56,7 +56,7 @@ def printed(
     crank_3: Scalar = 0.0,
     frame: Scalar = 0.0,
     crank_angle: Scalar = RIGHT_ANGLE,
-    **options: PyTree,
+    **options: object,
 ) -> np.ndarray:
     """|coupler angle| in rad under the reading that gives the source's figures; arrays of errors in m."""
     options = dict(closure="quadratic", branch="crossed") | options

@@ -137,8 +137,8 @@ def _made(
     """The problem with its prior; `key` names the part of the observation whose noise is the usual one."""
     given = identification_of(study)
     usual, prior = float(given.noise or np.median(sd[key])), given.prior(study.tolerances)
-    noise = identify.Noise(sd)
-    return Problem(study, kind, prior, model, noise, usual, given.nuisance, runs, units, tuple(data), items)
+    own = tuple(data), items
+    return Problem(study, kind, prior, model, identify.Noise(sd), usual, given.nuisance, runs, units, *own)
 
 
 def _observation(study: Study, given: Identification, kind: str) -> Observation:
@@ -326,9 +326,8 @@ def _frequencies(study: Study, given: Identification, measured: Measured | None)
     items: tuple[tuple[Tones, ...], ...] = ()
     data: list[Seen] = []
     if measured is None:
-        nominal = observation.predict(study.design, study.design.error_record(), study.conditions)
-        found = np.asarray(nominal[0])
-        frequency = found[found > 0]
+        nominal = np.asarray(observation.predict(study.design, study.design.error_record(), study.conditions)[0])
+        frequency = nominal[nominal > 0]
         sd: PyTree = given.noise
     else:
         tones = [item for item in measured.items if isinstance(item, Tones)]

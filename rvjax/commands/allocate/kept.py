@@ -3,7 +3,6 @@
 import json
 import os
 import tempfile
-import tomllib
 from pathlib import Path
 
 import rvjax
@@ -26,7 +25,7 @@ def folder(study: Study, option: str | None) -> Path | None:
         study: the question.
         option: folder of the command line; None for all under `results` with the name of the study.
     """
-    if _names_files(tomllib.loads(study.text)):
+    if _names_files(study.tables):
         return None
     known = [Path(option)] if option is not None else numbered_folders(study.name)
     return next((place for place in reversed(known) if _holds(place, study)), None)
@@ -34,7 +33,7 @@ def folder(study: Study, option: str | None) -> Path | None:
 
 def memo(study: Study, place: Path) -> Memo | None:
     """Folder for intermediate results of an allocation; None if the study names other files."""
-    if _names_files(tomllib.loads(study.text)):
+    if _names_files(study.tables):
         return None
     about = {"study": study.text, "flags": os.environ.get("XLA_FLAGS", "")}
     return Memo(place.with_name(place.name + ".part"), about | versions())

@@ -14,9 +14,10 @@ from rvjax.population import Population, deviate_of, wilson
 from rvjax.response import PLAIN
 from rvjax.status import Status
 from rvjax.tolerances.allocation.constraints import Constraints
-from rvjax.tolerances.allocation.look import FAILED, Look
+from rvjax.tolerances.allocation.look import DECIDES, FAILED, Look
 from rvjax.tolerances.allocation.near import NearUnits
 from rvjax.tolerances.allocation.problem import SPARE, Problem
+from rvjax.tolerances.allocation.tails import FEWEST
 from rvjax.tolerances.batch.statistics import Statistics, rejects
 from rvjax.tolerances.failure.failure import failure_probability
 from rvjax.tolerances.requirements.limits import Limits, Verdict
@@ -29,8 +30,6 @@ _EXPECTED = 200  # rejects in a certificate of quick units, below which a probab
 _TRUSTED = {"OK", "SEVERAL_POINTS", "KINKED_POINT", "RARE_NOMINAL"}  # all but OK concern the reliability index alone
 _CLOSE = 0.9  # part of the rejects of a target that a probability of failure may show at first
 _MOST = 4.0  # factor on the wanted rejects by one certificate
-_ROUGH = 16  # rejects from which on a quantile says more than their count, which moves in steps
-_NEAR = 0.95  # used way below which a limit that holds does not decide
 
 
 class Certifier:
@@ -152,7 +151,7 @@ class Certifier:
         return verdicts
 
     def corrected(
-        self, constraints: Constraints, look: Look, seen: Statistics, reached: np.ndarray
+        self, constraints: Constraints, look: Look, seen: Statistics, reached: np.ndarray, misses: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """Wanted rejects (c,) and corrections of used ways (c,) with which these units would just show every limit.
 
@@ -161,6 +160,7 @@ class Certifier:
             look: at the end of the search.
             seen: the certificate of this end.
             reached: wanted rejects (c,) with which the sample would just meet each limit there.
+            misses: certificates that failed; each aims one unit farther inside.
         """
         rejects, moved, n = constraints.rejects.copy(), constraints.moved.copy(), self.run.samples
         deviate, smooth = deviate_of(self.run.confidence), None
@@ -176,7 +176,7 @@ class Certifier:
                 continue
             verdict = (seen.verdicts or {}).get(row.name)
             figure = seen.joint_yield if row.item is None else verdict and verdict.estimate
-            if figure is None or (look.used[k] < _NEAR and (verdict is None or verdict.met)):
+            if figure is None or (look.used[k] < DECIDES and (verdict is None or verdict.met)):
                 continue
             if not row.share:
                 assert row.item is not None
@@ -187,8 +187,10 @@ class Certifier:
             if row.item is not None and self.rare(row.item):
                 shown = max(1 - figure.value, 1e-3 * constraints.target(k))
                 wanted = constraints.target(k) / (1 + (deviate + SPARE) * figure.error / shown)
-            elif smooth is not None and wanted * n > _ROUGH and (shown > wanted) == (smooth[k] > wanted):
-                shown = max(shown, smooth[k]) if shown > wanted else smooth[k]  # a miss moves by a unit at least
+            elif smooth is not None and wanted * n > FEWEST:
+                if (shown > wanted) == (smooth[k] > wanted):
+                    shown = max(shown, smooth[k]) if shown > wanted else smooth[k]
+                wanted -= misses / n
             ratio = reached[k] / rejects[k] * wanted / shown
             rejects[k] = min(rejects[k] * float(np.clip(ratio, 1 / _MOST, _MOST)), 0.5)
         return rejects, moved

@@ -17,7 +17,7 @@ from rvjax._jax.sizes import PULLED
 from rvjax.population import first_points
 from rvjax.response import response_names
 from rvjax.tolerances.allocation.decisions import AT, Decisions
-from rvjax.tolerances.allocation.look import FAILED, JOINT, Look, Row
+from rvjax.tolerances.allocation.look import DECIDES, FAILED, JOINT, Look, Row
 from rvjax.tolerances.allocation.near import Limited, NearUnits
 from rvjax.tolerances.allocation.nominal import NominalOutputs
 from rvjax.tolerances.allocation.problem import Problem
@@ -28,9 +28,6 @@ from rvjax.tolerances.requirements.limits import Limits
 
 FEW = 512
 """Units of the first look, and of a part of the response that does not decide."""
-
-SPARE = 0.85
-"""Used way below which a limit does not decide."""
 
 _QUARTER = 2  # times as many quick units as are behind a slope, at least
 _HALVINGS = 16  # of a factor of 100: an error of 1e-4
@@ -136,7 +133,7 @@ class Constraints(WholeSample):
         """Look at few costly units of responses whose limits do not decide."""
         if not self.problem.costly or self.problem.joint_target is not None:
             return
-        near = {row.name for k, row in enumerate(self.rows) if row.item is not None and look.used[k] > SPARE}
+        near = {row.name for k, row in enumerate(self.rows) if row.item is not None and look.used[k] > DECIDES}
         shares = {row.name for row in self.rows if row.share}
         self.aside, self._near = frozenset(shares - near - set(self.problem.losses)), None
 

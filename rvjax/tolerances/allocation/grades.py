@@ -48,7 +48,7 @@ class Grades:
         search, certifier, constraints = self._search, self._search.certifier, self._search.constraints
         near, rejects, moved = end.look, constraints.rejects, constraints.moved
         best: tuple[Places, Look, Statistics] | None = None
-        for _ in range(TESTS):
+        for misses in range(1, TESTS + 1):
             places, near = self._cheapest(near)
             if places is None:
                 break
@@ -56,7 +56,7 @@ class Grades:
             if certifier.holds(best[2]) or certifier.hopeless():  # the cheapest on the sample
                 break
             constraints.rejects, constraints.moved = certifier.corrected(
-                constraints, near, best[2], constraints.reached(near)
+                constraints, near, best[2], constraints.reached(near), misses
             )
             self._known.clear()
         constraints.rejects, constraints.moved = rejects, moved

@@ -9,7 +9,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-_STEPS, _KNOWN = 80, 1e-9
+from rvjax.tolerances.allocation.decisions import ROUNDING
+
+_STEPS = 80
 _CENTRED, _SHORT = 0.15, 0.995  # part of the gap that a step leaves; of the way to the boundary
 _INSIDE = 1e-2  # of a range, by which a start lies inside it
 _TINY = 1e-11  # curvature of variables that have none
@@ -59,7 +61,7 @@ def minimum(
         gap = float(slack @ prices + under @ below + over @ above) / max(bounded, 1)
         off = here.slopes - here.jacobian.T @ prices - below + above
         missed = here.rows - slack
-        if max(gap, float(np.abs(off).max()), float(np.abs(missed).max(initial=0.0))) < _KNOWN:
+        if max(gap, float(np.abs(off).max()), float(np.abs(missed).max(initial=0.0))) < ROUNDING:
             break
         aim = _CENTRED * gap
         to_rows = (aim - slack * prices - prices * missed) / slack

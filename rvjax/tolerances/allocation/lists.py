@@ -13,8 +13,7 @@ import numpy as np
 from rvjax.tolerances.allocation.decisions import Decisions
 from rvjax.tolerances.allocation.programme import End
 
-_ALL = 27  # combinations that are all tried
-_ROUNDED = 32  # combinations of neighbours, at most
+_ALL = 32  # combinations that are all tried, or neighbours where there are more
 
 Places = tuple[int, ...]
 
@@ -53,7 +52,7 @@ class Lists:
         for k, parts in self.entries.items():
             above = min(int(np.searchsorted(parts, x[k])), len(parts) - 1)
             near.append(sorted({max(above - 1, 0), above}, key=lambda i: abs(parts[i] - x[k])))
-        return list(itertools.islice(itertools.product(*near), _ROUNDED))
+        return list(itertools.islice(itertools.product(*near), _ALL))
 
     def exchanges(self, places: Places) -> Iterator[Places]:
         """Combinations with one or two numbers one place on."""

@@ -6,6 +6,9 @@ import numpy as np
 
 from rvjax.tolerances.requirements.limits import Limits
 
+DECIDES = 0.85
+"""Used way below which a limit does not decide."""
+
 JOINT, FAILED = "joint", "failed"
 """Names of the constraints on units that meet all limits, and on failed units, which statistics of others exclude."""
 

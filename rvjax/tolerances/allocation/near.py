@@ -12,16 +12,14 @@ import numpy as np
 from rvjax.population import Population
 from rvjax.response import Part
 from rvjax.tolerances.allocation.decisions import KEPT
+from rvjax.tolerances.allocation.look import DECIDES
 from rvjax.tolerances.allocation.sample import Units, Values
 
 _FIRST = 8.0  # times the rejects: units that are solved at first
 _LEAST = 64  # of these
 _WINDOW = 4.0  # times the rejects: units that a quantile may be formed of
 _CLOSER = 0.5  # part of the way to the quantile that a solved unit next to the others may have made
-_FAR, _INSIDE = (
-    0.3,
-    0.15,
-)  # parts of the way inside a limit: of units that are not needed, of a quantile that does not decide
+_INSIDE = 1 - DECIDES  # part of the way inside a limit, of a quantile that does not decide; of units twice as much
 
 
 class Limited(NamedTuple):
@@ -68,8 +66,8 @@ class NearUnits:
         for limit, margins in zip(own, before):
             rank = np.empty(count)
             rank[np.argsort(-margins, kind="stable")] = np.arange(count)
-            last = count if _margin(margins, limit.share * count) < -_FAR else 0  # the limit does not decide
-            place = np.minimum(place, rank / (limit.share * count) + np.where(margins > -_FAR, 0, last))
+            last = count if _margin(margins, limit.share * count) < -2 * _INSIDE else 0  # the limit does not decide
+            place = np.minimum(place, rank / (limit.share * count) + np.where(margins > -2 * _INSIDE, 0, last))
         order, done = np.argsort(place, kind="stable"), 0
         size = max(int((place < _FIRST).sum()), _LEAST)
         while done < count:

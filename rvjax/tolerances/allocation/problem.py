@@ -30,6 +30,9 @@ KEPT = 65_536
 QUICK = 8192
 """Quick units of a sample: those in the tails leave an error of the cost below that of a certificate."""
 
+STAGES = 2048, 4096
+"""Costly units of samples between the first and the last one."""
+
 SPARE = 0.3
 """Standard errors of a share beyond what a certificate needs: the next sample shows a little less than the last."""
 

@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 
 from rvjax.tolerances.allocation.constraints import Constraints
-from rvjax.tolerances.allocation.decisions import AT, ROUNDING
+from rvjax.tolerances.allocation.decisions import AT, ROUNDING, STEP
 from rvjax.tolerances.allocation.interior import Model, minimum
 from rvjax.tolerances.allocation.look import Look
 from rvjax.tolerances.allocation.planes import Planes
@@ -44,9 +44,7 @@ _SHORTER = 3.0  # times smaller is the box than a step that was not taken
 _FLAT = 0.05  # used way, below which its square has no slope of its own
 _LOST = 3.0  # excess of a limit whose units fail, in parts of its way
 _PRICE, _DEARER_BY, _DEARER = 2.0, 10.0, 1e4  # of an excess of a whole way, in costs; its growth, and the most
-_STRAIGHTER = 4  # times at the end of a search, at most, at which what was learned of curvatures is reduced
 _ROUNDS = 8  # of the model, each with these outputs seen at the end of the one before
-_BENT = 1e-4  # of a reach: derivatives at the ends of a shorter step differ by rounding
 _NOTHING = 1e-3  # of the sum of slopes, a cost that is next to nothing
 
 
@@ -109,7 +107,7 @@ class Programme:
         here, looks = self._look(np.clip(start, self.low, self.high)), 1
         size = self._size(here)
         elastic = np.full(len(here.used), _PRICE * size) if self.weights is None else self.weights
-        settled, straight, least = False, 0, _LEAST[self.constraints.problem.costly]
+        settled, least = False, _LEAST[self.constraints.problem.costly]
         while looks < most:
             size = self._size(here)
             plan = self._plan(here, radius, elastic)
@@ -121,10 +119,6 @@ class Programme:
                 broken = _excess(here) > MET
                 if radius >= least and self.weights is None and broken.any() and elastic.max() < _DEARER * size:
                     elastic = np.where(broken, _DEARER_BY * elastic, elastic)
-                    continue
-                if self.bends.any() and straight < _STRAIGHTER and self.end(here).residual > STATIONARY:
-                    self.bends = self.bends / _SHORTER**2  # of longer steps: they promise nothing here
-                    straight, radius = straight + 1, max(radius, AGAIN)
                     continue
                 settled = True
                 break
@@ -264,16 +258,17 @@ class Programme:
         return np.asarray(self.bends @ (moved / self.decisions.reach) / self.decisions.reach)
 
     def _learn(self, here: Look, there: Look) -> None:
-        """Bend the model along mid-points and numbers so that it has the derivatives seen at another look.
+        """Bend the model so that it has the derivatives seen at another look.
 
-        The change is the least one that is symmetric (Powell 1970), times the part of the step that these decisions
-        have: the model of half-widths is less wrong. Derivatives of few units count less two standard errors.
+        The change is the least one that is symmetric (Powell 1970). Derivatives of few units count less two standard
+        errors, and bend the model along mid-points and numbers alone, by their part of the step: it is less wrong
+        along half-widths.
         """
         whole = (there.x - here.x) / self.decisions.reach
-        numbers = np.arange(len(whole)) >= self._first
-        step = np.where(numbers, whole, 0.0)
+        bending = np.arange(len(whole)) >= (self._first if self.constraints.problem.costly else 0)
+        step = np.where(bending, whole, 0.0)
         square = float(step @ step)
-        if math.sqrt(square) < _BENT:
+        if math.sqrt(square) < STEP:
             return
         told = np.vstack([self._powers(here, there.x)[1], self._total(here, there.x)[1] - there.slopes])
         seen = np.vstack([expansion(there)[1], there.loss_slopes])
@@ -281,7 +276,7 @@ class Programme:
         known = np.append(np.isfinite(here.used) & np.isfinite(there.used), math.isfinite(there.loss))
         error = np.where(known[:, None], seen - told, 0.0)
         error[:-1] = np.sign(error[:-1]) * np.maximum(np.abs(error[:-1]) - noise, 0.0)
-        error *= self.decisions.reach * numbers * square / float(whole @ whole)
+        error *= self.decisions.reach * bending * square / float(whole @ whole)
         cross = error[:, :, None] * step / square
         bent = self.bends + cross + cross.transpose(0, 2, 1)
         bent -= (error @ step)[:, None, None] * np.outer(step, step) / square**2

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 
 from rvjax.tolerances.allocation.constraints import FEW, Constraints
-from rvjax.tolerances.allocation.programme import AGAIN, COARSE, LOOKS, MET, End, Programme
+from rvjax.tolerances.allocation.programme import AGAIN, COARSE, GAIN, LOOKS, MET, End, Programme
 
 WITHIN = 0.005
 """Part of the cost that a number off its best value may add."""
@@ -18,7 +18,6 @@ _OFF = 0.05  # part of its range by which a number is first held off
 _TRIALS = 4, 2  # searches for one end of a range of quick and of costly units, at most
 _CLOSE = 0.15  # of the added cost, by which the end of a range may miss it
 _LOOKS = 4  # vectors of one search on costly units, at most
-_FINE = 1e-4  # gain that ends such a search, as a part of the cost
 
 
 def ranges(constraints: Constraints, programme: Programme, end: End) -> dict[str, tuple[float, float]]:
@@ -39,7 +38,7 @@ def ranges(constraints: Constraints, programme: Programme, end: End) -> dict[str
         if k is not None:
             programme.low, programme.high = low.copy(), high.copy()
             programme.low[k] = programme.high[k] = x[k] = at
-        found = programme.run(x, AGAIN, most=looks, gain=COARSE if costly else _FINE)
+        found = programme.run(x, AGAIN, most=looks, gain=COARSE if costly else max(GAIN))
         programme.low, programme.high = low, high
         return found
 

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from rvjax.tolerances.allocation.certificate import TESTS, Certifier
-from rvjax.tolerances.allocation.constraints import FEW, SPARE, Constraints
+from rvjax.tolerances.allocation.constraints import FEW, Constraints
 from rvjax.tolerances.allocation.decisions import ROUNDING
 from rvjax.tolerances.allocation.lists import Lists, Places
-from rvjax.tolerances.allocation.look import FAILED, Look
+from rvjax.tolerances.allocation.look import DECIDES, FAILED, Look
 from rvjax.tolerances.allocation.prices import intervals, margins_of, prices_of, value_prices
-from rvjax.tolerances.allocation.problem import QUICK, Problem
+from rvjax.tolerances.allocation.problem import QUICK, STAGES, Problem
 from rvjax.tolerances.allocation.programme import AGAIN, COARSE, LOOKS, MET, RADIUS, STATIONARY, End, Programme
 from rvjax.tolerances.allocation.rays import Rays
 from rvjax.tolerances.allocation.result import Allocation, bounds_active
@@ -24,7 +24,6 @@ DEARER = 0.2
 """Part of the learned cost by which a certified one may exceed it and still be called the cheapest."""
 
 _BEYOND = 40  # units of the last sample beyond each limit that decides
-_STAGES = 2048, 4096  # costly units of samples between the first and the last one
 _MOST = 16_384  # costly units of a sample, at most
 _WORTH = 1e-3, 3e-3  # gain of the cost, as a part of it, for which another one of quick, of costly units is computed
 _MORE, _TIMES = 0.02, 4  # part of the cost that more certificate units must save, and how many more at most
@@ -67,6 +66,8 @@ class Search:
         near = rivals(ends, len(decisions.fields), _RIVALS if not problem.costly else 2)
         *growing, last = self._counts(near[0].look) or [constraints.count]
         for count in (*growing, last):
+            if growing and count == last:  # fewer looks at the largest sample
+                near = [self._enough(near[0])]
             self._grow(count, near[0].look)
             self._last = count == last
             near = sorted((self.run(end.look.x) for end in near), key=self._worth)[:1]
@@ -90,10 +91,10 @@ class Search:
         if not self.problem.costly:
             return [self.problem.sample] * 2  # in the tails, placed twice
         near = [1 - getattr(r.item, "target", self.problem.joint_target or 0.0)
-                for k, r in enumerate(self.constraints.rows) if r.share and look.used[k] > SPARE]  # fmt: skip
+                for k, r in enumerate(self.constraints.rows) if r.share and look.used[k] > DECIDES]  # fmt: skip
         wanted = 2 ** math.ceil(math.log2(_BEYOND / min(near, default=1.0)))
         last = min(max(wanted, self.problem.sample, FEW), _MOST)
-        return [*(count for count in _STAGES if count < last), last] if last > FEW else []
+        return [*(count for count in STAGES if count < last), last] if last > FEW else []
 
     def _grow(self, count: int, look: Look) -> None:
         self.constraints.spare(look)
@@ -182,20 +183,23 @@ class Search:
         learned, best = self._before(end), None
         constraints, certifier, enough = self.constraints, self.certifier, _WORTH[self.problem.costly]
         held_at, failed_at = np.zeros(len(constraints.rows)), np.full(len(constraints.rows), np.inf)
+        misses = 0
         for test in range(TESTS):
             seen = certifier.test(constraints, end.look.x)
             held = certifier.holds(seen) and constraints.missed(end.look) <= ROUNDING
             if held and (best is None or end.look.total < best[0].look.total):
                 best = end, seen, constraints.rejects, constraints.moved
             reached = constraints.reached(end.look) if self.rays is None else constraints.rejects
-            rejects, moved = certifier.corrected(constraints, end.look, seen, reached)
+            misses += not held
+            rejects, moved = certifier.corrected(constraints, end.look, seen, reached, misses)
             bad = certifier.failing(constraints, seen)
             held_at = np.where(bad, held_at, np.maximum(held_at, constraints.rejects))
             failed_at = np.where(bad, np.minimum(failed_at, constraints.rejects), failed_at)
             between = np.sqrt(
                 np.where(held_at > 0, held_at, rejects) * np.where(np.isfinite(failed_at), failed_at, rejects)
             )
-            rejects = np.where((rejects >= failed_at) | (rejects < held_at), between, rejects)
+            known = best is not None  # a vector that held
+            rejects = np.where((rejects >= failed_at) | (known & (rejects < held_at)), between, rejects)
             gain = self._gain(end, rejects, moved) if held or best is None else best[0].look.total - end.look.total
             if (best is not None and gain < enough * abs(end.look.total)) or certifier.hopeless():
                 break
@@ -218,7 +222,8 @@ class Search:
                 initial=0.0
             )
             return float(changed > _CHANGED) * abs(end.look.total)
-        away = constraints.quantiles(end.look.x, constraints.rejects) - constraints.quantiles(end.look.x, rejects)
+        with np.errstate(invalid="ignore"):  # where too many units fail
+            away = constraints.quantiles(end.look.x, constraints.rejects) - constraints.quantiles(end.look.x, rejects)
         away = np.where(np.isfinite(away), away, 0.0) + constraints.moved - moved
         return float(end.prices @ away)
 

@@ -17,7 +17,10 @@ PLAIN_SHARE = 0.25
 """Share of the units without importance: no weight exceeds its reciprocal."""
 
 _NARROW = 0.29  # logarithm of that at a share of 1; the window grows as the tail becomes straighter
-_WIDE, _FEWEST = math.log(4), 16  # logarithm of a rank over that of a quantile, and units, that it is formed of
+FEWEST = 16
+"""Units that a quantile is formed of, at least; fewer rejects are counted."""
+
+_WIDE = math.log(4)  # logarithm of a rank over that of a quantile, that it is formed of
 _ALIKE = 0.9  # cosine of two directions that one centre serves
 _CENTRES = 8  # of one requirement, at most
 
@@ -146,7 +149,7 @@ def quantile(margins: np.ndarray, weights: np.ndarray, rejects: float, way: floa
     rank = -np.log(beyond[lost:])
     far = np.abs(rank + math.log(rejects))  # the outermost units, which may lie anywhere, do not count
     wide = min(_WIDE, _NARROW / rejects ** (1 / 3))  # a tail is the straighter, the farther out it is
-    nearest = np.argsort(far, kind="stable")[: max(min(int((far < wide).sum()), near), _FEWEST)]
+    nearest = np.argsort(far, kind="stable")[: max(min(int((far < wide).sum()), near), FEWEST)]
     first, last = lost + int(nearest.min()), lost + int(nearest.max()) + 1
     units, rank, far = order[first:last], rank[first - lost : last - lost], far[first - lost : last - lost]
     shares = np.maximum(1 - far / (far.max() * (1 + 1 / len(far))), 0.0) * mass[first:last]

@@ -5,13 +5,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rvjax.tolerances.allocation.problem import KEPT
+from rvjax.tolerances.allocation.problem import KEPT, STAGES
 from rvjax.tolerances.allocation.programme import COARSE, LOOKS, MET, End
 from rvjax.tolerances.allocation.search import Search
 from rvjax.tolerances.batch.statistics import Statistics
-
-_FEW = 2048  # costly units of a sample, at most
-_FRESH = 4096  # costly units behind a yield, at most; of quick ones as many as are kept
 
 
 def costs_of_yields(search: Search, end: End, yields: Sequence[float]) -> list[tuple[float, float]]:
@@ -28,7 +25,7 @@ def costs_of_yields(search: Search, end: End, yields: Sequence[float]) -> list[t
     goal = min((item.target for item in problem.requirements.values() if item.of_shares), default=1.0)  # type: ignore[attr-defined]
     points = list[tuple[float, float]]()
     if problem.costly:
-        constraints.sample(min(constraints.count, _FEW))
+        constraints.sample(min(constraints.count, STAGES[0]))
     for side in (sorted((y for y in yields if y < goal), reverse=True), sorted(y for y in yields if y >= goal)):
         x = end.look.x
         for target in side:
@@ -40,7 +37,7 @@ def costs_of_yields(search: Search, end: End, yields: Sequence[float]) -> list[t
             if there.look.excess > 2 * MET:
                 continue
             x = there.look.x
-            samples = min(certifier.run.samples, _FRESH if problem.costly else KEPT)
+            samples = min(certifier.run.samples, STAGES[1] if problem.costly else KEPT)
             fresh = dataclasses.replace(
                 certifier.run, population=search.decisions.population(x), samples=samples, keep=False
             )
