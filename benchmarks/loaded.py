@@ -36,7 +36,7 @@ import jax.numpy as jnp  # noqa: E402
 from benchmarks.loaded_numba import in_numba  # noqa: E402
 from benchmarks.loaded_others import COLUMNS, FIELDS, OFFSETS, in_numpy, numbers, source  # noqa: E402
 from rvjax import RVErrors, catalogue, loaded  # noqa: E402
-from rvjax._jax.compile_cache import QUICK  # noqa: E402
+from rvjax._jax.programs import QUICK  # noqa: E402
 from rvjax.loaded.cases import MACHINE  # noqa: E402
 from tests.oracles import loaded as oracle  # noqa: E402
 from tests.oracles.loaded_machine import STAGES  # noqa: E402

@@ -43,9 +43,9 @@ def answered_once() -> Iterator[dict]:
 
     real, fitted = rvjax.commands.allocate.answer.answer, behind.surrogate
 
-    def once(question, *, progress=False, memo=None, measure=True, sampled=None):
+    def once(question, *, progress=False, memo=None, measure=True):
         if question.text not in FOUND:
-            FOUND[question.text] = real(question, progress=progress, memo=memo, measure=measure, sampled=sampled)
+            FOUND[question.text] = real(question, progress=progress, memo=memo, measure=measure)
         return dataclasses.replace(FOUND[question.text], study=question)
 
     def few(answer):

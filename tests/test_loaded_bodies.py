@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from rvjax.loaded.balance import attach, balance, compliance, forces
+from rvjax.loaded.balance import balance, compliance, forces, with_implicit_derivative
 from rvjax.loaded.interior import STEPS, approach
 from rvjax.loaded.system import Bearings, Group, Joints, Layout, Pins, System
 from rvjax.units import arcmin, mm, um
@@ -97,7 +97,7 @@ def system_of(layout, torque, angle=0.1, flank=0.0, hole=0.0, play=0.0, spread=N
 def solved(layout, system):
     """Displacements with derivatives, forces, how they were found, and the rotation per torque."""
     found = balance(layout, system, jnp.full(layout.unknowns, jnp.nan))
-    q = attach(layout, system, found.q)
+    q = with_implicit_derivative(layout, system, found.q)
     first = jnp.eye(layout.unknowns)[layout.carried]
     return q, forces(layout, system, q), found, compliance(layout, system, q, first)[layout.carried]
 

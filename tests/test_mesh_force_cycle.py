@@ -13,9 +13,9 @@ import pytest
 
 import rvjax
 from rvjax import CamRollerErrors, Status, mesh_force
-from rvjax._jax.blocks import lowering
+from rvjax._jax.sizes import lowering
 from rvjax.mesh_force import equilibrium
-from rvjax.mesh_force.block import Found
+from rvjax.mesh_force.block import Solution
 from rvjax.mesh_force.geometry import Case
 from rvjax.published.corr import CALIBRATED_TORQUE as TORQUE, PUBLISHED_STUDIES
 from tests.oracles import cam_roller
@@ -154,7 +154,7 @@ def test_a_batch_of_several_blocks_is_that_of_one(monkeypatch, platform):
         sizes.append(size)
         assert case.palmgren.shape == (1,) and case.radius_error.shape == (size, teeth + 1)
         load = case.torque[:, None] + case.radius_error * case.palmgren[:, None]
-        return Found(case.torque, load, *(case.sine + k for k in range(5)))
+        return Solution(case.torque, load, *(case.sine + k for k in range(5)))
 
     monkeypatch.setattr(equilibrium, "solve_block", instead)
     draw = np.random.default_rng(2).normal

@@ -11,7 +11,6 @@ import re
 import shutil
 import subprocess
 import tomllib
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,36 +18,16 @@ from live_study import PLAY, in_node, played
 
 import rvjax
 from rvjax import study, tolerances
-from rvjax.commands.allocate import compute, figures, kept, whole
+from rvjax.commands.allocate import kept, whole
 from rvjax.commands.allocate.report import report_on
 from rvjax.commands.report import Shown, live, page_of, surrogate
-from rvjax.render import Figure, Report
+from rvjax.render import Report
 from rvjax.study import rewrite
 
 
 @pytest.fixture(scope="module")
 def answered():
     return played()
-
-
-def test_figures_of_sample_units_are_begun_before_the_cost_curve(answered, monkeypatch):
-    found, _ = answered
-    begun = []
-
-    def answer(given, *, sampled, **_):
-        sampled(dataclasses.replace(found, cost_curve=[]))
-        return found
-
-    monkeypatch.setattr(Figure, "begin", lambda figure, form: begun.append((figure, form)))
-    monkeypatch.setattr(compute.answer, "answer", answer)
-    given = SimpleNamespace(kept=None, study=found.study, quiet=True, memo=None, measure=False)
-    drawn = compute.compute(given).drawn
-    names = [figure.name for figure in figures(found)]
-    assert found.cost_curve and names[-1] == "cost_against_yield"
-    assert [(figure.name, form) for figure, form in begun] == [(name, "png") for name in names[:-1]]
-    assert [figure.name for figure in drawn] == names and list(drawn[:-1]) == [figure for figure, _ in begun]
-    shown = [part for part in report_on(found, drawn).parts() if isinstance(part, Figure)]
-    assert all(one is other for one, other in zip(shown, drawn, strict=True))
 
 
 def test_the_page_carries_numbers_of_its_own(answered):

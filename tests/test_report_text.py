@@ -6,7 +6,6 @@ Oracle: the same numbers converted by hand.
 import dataclasses
 import io
 import math
-import threading
 from types import SimpleNamespace
 
 import jax.numpy as jnp
@@ -128,26 +127,6 @@ def test_plots_spell_units_as_the_page():
     (axes,) = drawn
     assert axes.get_xlabel() == "error (µm)" and axes.get_title() == "0.3 µm of 1 µs"
     assert axes.get_ylabel() == "humus (arcmin/µm)"
-
-
-def test_a_figure_that_is_begun_is_drawn_once_in_another_thread():
-    """`content` waits for it and raises its errors; the file is that of a figure drawn at once."""
-
-    def draw(of=3.0):
-        threads.append(threading.current_thread())
-        axes = plt.subplots()[1]
-        axes.plot([0, 1], [0, 6 / of])
-        return axes
-
-    threads = []
-    figure, alone, wrong = (Figure("x", "a", one) for one in (draw, draw, lambda: draw(0)))
-    for each in (figure, wrong):
-        each.begin("svg")
-    assert figure.content("svg") == figure.content("svg") == alone.content("svg")
-    with pytest.raises(ZeroDivisionError):
-        wrong.content("svg")
-    assert threads.count(threading.current_thread()) == 1 and len(threads) == 3
-    assert figure.content("png").startswith(b"\x89PNG") and threads[-1] is threading.current_thread()
 
 
 @pytest.mark.parametrize("form", ["png", "svg"])

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.blocks import AT_ONCE, calls
-from rvjax._jax.compile_cache import QUICK
+from rvjax._jax.programs import QUICK
+from rvjax._jax.sizes import AT_ONCE, calls
 from rvjax.outputs import Curve, torque_condition
 from rvjax.population import Population
 from rvjax.records import Design, PyTree, Record, Scalar, field, record, text
@@ -52,18 +52,6 @@ def curves_of(
         angles, values = _curves(unit, population, jnp.asarray(z[:, lanes]))
         found.append(np.asarray(values))
     return np.asarray(angles)[0], np.concatenate(found)[:count]
-
-
-def begin_curves(curve: Curve, design: Design, conditions: object, population: Population) -> None:
-    """Begin the program, see `Compiled.begin`.
-
-    Args:
-        curve: as in `curves_of`.
-        design: as in `curves_of`.
-        conditions: as in `curves_of`.
-        population: as in `curves_of`.
-    """
-    _curves.begin(_unit(curve, design, conditions, None), population, jnp.zeros((population.numbers, AT_ONCE)))
 
 
 def _unit(curve: Curve, design: Design, conditions: object, torque: float | None) -> _Drawn:

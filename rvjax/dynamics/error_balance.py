@@ -139,36 +139,36 @@ def _mesh_displacement(unit: Unit, stage: str, orders: Orders, amplitude: jax.Ar
     runout = jnp.broadcast_to(1j * ahead * vector(errors["planet_runout"]).conj(), (cranks,))
     # -z e^{-i (pi/2 - alpha)} e^{-i psi_i}, z negated into the frame of crank 0
     eccentric = -1j * ahead.conj() * vector(errors["sun_runout"]) * constants(waves(cranks, -1), runout.real)
-    found = [(Fraction(pins), runout), (sun, eccentric)]
-    found += [
+    terms = [(Fraction(pins), runout), (sun, eccentric)]
+    terms += [
         (Fraction(h * pins), planet_series(unit)[:, h - 1]) for h in range(1, length(errors["planet_flank"], -2) + 1)
     ]
     for h in range(1, length(errors["sun_flank"], -2) + 1):
         met = constants(waves(cranks, -h), runout.real)
-        found.append((h * sun, -vector(errors["sun_flank"])[h - 1] * met))
-    return tuple(order for order, _ in found), jnp.stack([values for _, values in found])
+        terms.append((h * sun, -vector(errors["sun_flank"])[h - 1] * met))
+    return tuple(order for order, _ in terms), jnp.stack([values for _, values in terms])
 
 
 def _on_lattice(tied: Lattice, orders: Orders, values: jax.Array) -> jax.Array:
     """Lines (orders, k) as two-sided coefficients (residues, 2 H + 1, k): half of each, and of its conjugate."""
-    found = jnp.zeros((len(tied.residues), 2 * tied.harmonics + 1, values.shape[1]), values.dtype)
+    spread = jnp.zeros((len(tied.residues), 2 * tied.harmonics + 1, values.shape[1]), values.dtype)
     for number, order in enumerate(orders):
         for residue, place, mirrored in tied.places(order):
             own = values[number].conj() if mirrored else values[number]
-            found = found.at[residue, place].add(own / 2)
-    return found
+            spread = spread.at[residue, place].add(own / 2)
+    return spread
 
 
 def _one_sided(tied: Lattice, motion: jax.Array) -> tuple[Orders, jax.Array]:
     """Lines at positive orders, ascending, from two-sided coefficients (residues, 2 H + 1, k)."""
-    found = {}
+    places_of = {}
     for residue, least in enumerate(tied.residues):
         for place in range(2 * tied.harmonics + 1):
             order = tied.order(residue, place)
-            if order != 0 and not tied.is_apart(least, place) and (abs(order) not in found or order > 0):
-                found[abs(order)] = (residue, place, order < 0)
-    lines = tuple(sorted(found))
-    residues, places, mirrored = (np.array(column) for column in zip(*(found[n] for n in lines)))
+            if order != 0 and not tied.is_apart(least, place) and (abs(order) not in places_of or order > 0):
+                places_of[abs(order)] = (residue, place, order < 0)
+    lines = tuple(sorted(places_of))
+    residues, places, mirrored = (np.array(column) for column in zip(*(places_of[n] for n in lines)))
     rows = 2 * motion[residues, places]
     return lines, jnp.where(mirrored[:, None], rows.conj(), rows)
 
@@ -257,8 +257,8 @@ def _coupling(
         matrix = jnp.block([[block.real, -block.imag], [block.imag, block.real]])
         scale = 1 / jax.lax.stop_gradient(jnp.max(jnp.abs(matrix), axis=1, keepdims=True))
         unknown, pivot = solve(scale * matrix, scale * jnp.concatenate([rhs.real, rhs.imag])[:, None])
-        found = jax.lax.complex(*unknown.reshape(2, *wave.shape))
-        return -wave * k.astype(wave.dtype)[None, :] * (kept.astype(wave.dtype) @ found), pivot
+        solution = jax.lax.complex(*unknown.reshape(2, *wave.shape))
+        return -wave * k.astype(wave.dtype)[None, :] * (kept.astype(wave.dtype) @ solution), pivot
 
     apart = np.array([[tied.is_apart(r, p) for p in range(len(order))] for r in tied.residues])
     force, pivot = jax.vmap(one)(jnp.asarray(apart), gamma, deflection)

@@ -164,10 +164,10 @@ def error_orders(unit: Unit, pin_harmonics: int) -> Orders:
     lumped, errors = unit.lumped, unit.errors
     pins, sun = lumped.disc_teeth + 1, sun_order(lumped)
     turning = max(1, *(length(errors[name], -2) for name in ("planet_flank", "disc_flank")))
-    found = {Fraction(h * pins) for h in range(1, turning + 1)}
-    found |= {h * sun for h in in_phase(length(errors["sun_flank"], -2), lumped.cranks)}
-    found |= {Fraction(m * lumped.disc_teeth) for m in ring_harmonics(unit, pin_harmonics)}
-    return tuple(sorted(found))
+    orders = {Fraction(h * pins) for h in range(1, turning + 1)}
+    orders |= {h * sun for h in in_phase(length(errors["sun_flank"], -2), lumped.cranks)}
+    orders |= {Fraction(m * lumped.disc_teeth) for m in ring_harmonics(unit, pin_harmonics)}
+    return tuple(sorted(orders))
 
 
 def sun_order(lumped: Lumped) -> Fraction:
@@ -177,8 +177,8 @@ def sun_order(lumped: Lumped) -> Fraction:
 
 def ring_harmonics(unit: Unit, pin_harmonics: int) -> list[int]:
     """Harmonics m of the ring, orders m disc_teeth, that all discs meet in phase."""
-    found = set(in_phase(length(unit.errors["ring_flank"], -2), unit.lumped.discs))
-    return sorted(found | set(pin_orders(unit, pin_harmonics)))
+    harmonics = set(in_phase(length(unit.errors["ring_flank"], -2), unit.lumped.discs))
+    return sorted(harmonics | set(pin_orders(unit, pin_harmonics)))
 
 
 def pin_orders(unit: Unit, pin_harmonics: int) -> list[int]:

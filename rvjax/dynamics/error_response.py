@@ -106,13 +106,13 @@ def _transmission_error(
     unit, (sun_speed, output_torque) = read(case, sun_speed, output_torque)
     speed = output_speed(unit.lumped, sun_speed)
     if stage is None:
-        found = _first_order(unit, speed, outputs, pin_harmonics)
+        solution = _first_order(unit, speed, outputs, pin_harmonics)
     else:
-        found = balance(unit, speed, output_torque, outputs, pin_harmonics, stage, harmonics)
-    n = jnp.asarray([float(order) for order in found.orders], speed.dtype)
+        solution = balance(unit, speed, output_torque, outputs, pin_harmonics, stage, harmonics)
+    n = jnp.asarray([float(order) for order in solution.orders], speed.dtype)
     frequency = n * jnp.abs(speed) / (2 * jnp.pi)
-    values = (n, frequency, found.amplitude, found.static, curve_range(found.orders, found.amplitude))
-    (n, frequency, amplitude, static, whole), info = close(unit, values, found.amplitude, found)
+    values = (n, frequency, solution.amplitude, solution.static, curve_range(solution.orders, solution.amplitude))
+    (n, frequency, amplitude, static, whole), info = close(unit, values, solution.amplitude, solution)
     return DynamicError(n, frequency, amplitude, static, whole, outputs, info)
 
 
@@ -122,10 +122,10 @@ def _first_order(unit: Unit, speed: jax.Array, outputs: tuple[str, ...], pin_har
     n = jnp.asarray([float(order) for order in orders], speed.dtype)
     excitation, _ = generators(unit, orders, pin_harmonics)
     rows = output_rows(unit.lumped, outputs)
-    found = transfer(unit.lumped, n * speed, rows)
-    amplitude = jnp.einsum("kos,ks->ko", found.value, excitation)
+    solution = transfer(unit.lumped, n * speed, rows)
+    amplitude = jnp.einsum("kos,ks->ko", solution.value, excitation)
     static = excitation @ (rows @ static_deflection(unit.lumped)[0]).T.astype(excitation.dtype)
-    return Balanced(orders, amplitude, static, found.singular, found.residual)
+    return Balanced(orders, amplitude, static, solution.singular, solution.residual)
 
 
 def curve_range(orders: Orders, amplitude: jax.Array) -> jax.Array:

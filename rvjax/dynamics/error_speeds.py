@@ -16,10 +16,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.batching import folded
-from rvjax._jax.blocks import LINES
 from rvjax._jax.elementary import root
-from rvjax._jax.varying import fori_loop
+from rvjax._jax.kernels import folded, fori_loop
+from rvjax._jax.sizes import LINES
 from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped
@@ -90,14 +89,14 @@ def _sweep(case: Case, sun_speeds: Array, outputs: tuple[str, ...], pin_harmonic
     n = jnp.asarray([float(order) for order in orders], speeds.dtype)
     excitation, _ = generators(unit, orders, pin_harmonics)
     frequency = output_speed(unit.lumped, speeds)[:, None] * n[None, :]
-    found = transfer(unit.lumped, frequency.ravel(), output_rows(unit.lumped, outputs))
-    value = found.value.reshape(*frequency.shape, *found.value.shape[1:])
+    solution = transfer(unit.lumped, frequency.ravel(), output_rows(unit.lumped, outputs))
+    value = solution.value.reshape(*frequency.shape, *solution.value.shape[1:])
     rows, columns = factors(value, excitation)
     real, imaginary = jnp.moveaxis(lines(rows, columns), (1, 2), (0, 1))
     square = largest(rows, columns)
     peak = root(square)
     values = (n, jax.lax.complex(real, imaginary), peak, speeds[place_of_largest(rows, columns)])
-    (n, amplitude, peak, peak_speed), info = close(unit, values, peak, found)
+    (n, amplitude, peak, peak_speed), info = close(unit, values, peak, solution)
     return SpeedSweep(n, amplitude, peak, peak_speed, outputs, info)
 
 
@@ -165,9 +164,9 @@ def _range(case: Case, slowest: Array, fastest: Array, count: int, pin_harmonics
     sun_speeds = refine_speeds(unit.lumped, orders, slowest, fastest, count, one_sense)
     n = jnp.asarray([float(order) for order in orders], sun_speeds.dtype)
     frequency = output_speed(unit.lumped, sun_speeds)[:, None] * n[None, :]
-    found = transfer(unit.lumped, frequency.ravel(), output_rows(unit.lumped, ("output.rotation",)))
+    solution = transfer(unit.lumped, frequency.ravel(), output_rows(unit.lumped, ("output.rotation",)))
     excitation, _ = generators(unit, orders, pin_harmonics)
-    amplitude = jnp.einsum("qks,ks->qk", found.value.reshape(*frequency.shape, -1), excitation)
+    amplitude = jnp.einsum("qks,ks->qk", solution.value.reshape(*frequency.shape, -1), excitation)
     square = jnp.square(amplitude.real) + jnp.square(amplitude.imag)
 
     # None of the others can exceed twice its own sum of sizes; close to a resonance one line is nearly all.
@@ -178,7 +177,7 @@ def _range(case: Case, slowest: Array, fastest: Array, count: int, pin_harmonics
     power = jnp.sum(square * frequency**4, axis=1) / 2
     loudest = jnp.argmax(power)
     figures = (whole[worst], sun_speeds[places[worst]], root(power[loudest]), sun_speeds[loudest], sun_speeds)
-    (peak, at, loud, loud_at, speeds), info = close(unit, figures, amplitude, found)
+    (peak, at, loud, loud_at, speeds), info = close(unit, figures, amplitude, solution)
     return SpeedRange(peak, at, loud, loud_at, speeds, info)
 
 
@@ -286,14 +285,14 @@ def _of_units(of_block: Callable[[jax.Array], jax.Array]) -> Callable[[jax.Array
         units, columns = len(columns), jnp.moveaxis(columns, 0, -1)
         block = min(max(32, LINES // (rows.size // rows.shape[-1]) // 8 * 8), units)
 
-        def step(number: jax.Array, found: jax.Array) -> jax.Array:
+        def step(number: jax.Array, result: jax.Array) -> jax.Array:
             start = jnp.minimum(number * block, units - block)
             line = lines(rows, jax.lax.dynamic_slice_in_dim(columns, start, block, axis=-1))
             square = jnp.square(line[:, 0]) + jnp.square(line[:, 1])
-            return jax.lax.dynamic_update_slice_in_dim(found, of_block(square), start, axis=-1)
+            return jax.lax.dynamic_update_slice_in_dim(result, of_block(square), start, axis=-1)
 
-        found = jnp.zeros((rows.shape[0], rows.shape[3], units), columns.dtype)
-        return jnp.moveaxis(fori_loop(0, -(-units // block), step, found), -1, 0)
+        result = jnp.zeros((rows.shape[0], rows.shape[3], units), columns.dtype)
+        return jnp.moveaxis(fori_loop(0, -(-units // block), step, result), -1, 0)
 
     batched = jax.custom_batching.custom_vmap(function)
 
@@ -301,8 +300,8 @@ def _of_units(of_block: Callable[[jax.Array], jax.Array]) -> Callable[[jax.Array
     def _rule(size: int, is_batched: list[bool], rows: jax.Array, columns: jax.Array) -> tuple[jax.Array, bool]:
         if is_batched[0]:  # different designs
             return jax.vmap(function, (0, 0 if is_batched[1] else None))(rows, columns), True
-        found = batched(rows, columns.reshape(-1, *columns.shape[2:]))
-        return found.reshape(size, -1, *found.shape[1:]), True
+        result = batched(rows, columns.reshape(-1, *columns.shape[2:]))
+        return result.reshape(size, -1, *result.shape[1:]), True
 
     return batched
 

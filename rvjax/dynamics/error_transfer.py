@@ -81,9 +81,9 @@ def error_transfer(
 @partial(jax.jit, static_argnums=3)
 def _error_transfer(lumped: Lumped, frequency: Array, load_inertia: Array, outputs: tuple[str, ...]) -> jax.Array:
     lumped, (frequency,), gate = admitted(loaded(lumped, load_inertia), frequency)
-    found = transfer(lumped, 2 * jnp.pi * frequency[None], output_rows(lumped, outputs))
-    value, _ = gate.close(found.value[0])
-    return jnp.where(found.singular, jnp.nan, value)
+    solution = transfer(lumped, 2 * jnp.pi * frequency[None], output_rows(lumped, outputs))
+    value, _ = gate.close(solution.value[0])
+    return jnp.where(solution.singular, jnp.nan, value)
 
 
 def check_outputs(outputs: Sequence[str]) -> tuple[str, ...]:
@@ -116,18 +116,18 @@ def rotations(outputs: Sequence[str], sun: jax.Array, output: jax.Array, ratio: 
     return jnp.stack([named[name] for name in outputs])
 
 
-def close(unit: Unit, values: PyTree, lines: jax.Array, found: "Transfer | Balanced") -> tuple[PyTree, SolveInfo]:
+def close(unit: Unit, values: PyTree, lines: jax.Array, solution: "Transfer | Balanced") -> tuple[PyTree, SolveInfo]:
     """Values of a unit with their status.
 
     Args:
         unit: as read.
         values: of the result, NaN where the solve fails.
         lines: amplitudes that must be finite.
-        found: how the equations were solved.
+        solution: how the equations were solved.
     """
     overflow = ~jnp.all(jnp.isfinite(lines))
-    checks = ((overflow, Status.NONFINITE), (found.singular, Status.SINGULAR))
-    return unit.gate.close(values, *checks, info=converged(found.residual))
+    checks = ((overflow, Status.NONFINITE), (solution.singular, Status.SINGULAR))
+    return unit.gate.close(values, *checks, info=converged(solution.residual))
 
 
 def forcing(lumped: Lumped) -> jax.Array:
@@ -259,20 +259,20 @@ def _statistics(case: Case, sun_speed: Array, outputs: tuple[str, ...], pin_harm
     unit, (sun_speed,) = read(case, sun_speed)
     orders = error_orders(unit, pin_harmonics)
     n = jnp.asarray([float(order) for order in orders], sun_speed.dtype)
-    found = transfer(unit.lumped, n * output_speed(unit.lumped, sun_speed), output_rows(unit.lumped, outputs))
+    solution = transfer(unit.lumped, n * output_speed(unit.lumped, sun_speed), output_rows(unit.lumped, outputs))
 
     def lines(errors: dict[str, jax.Array]) -> jax.Array:
         return generators(unit._replace(errors=errors), orders, pin_harmonics)[0]
 
-    power = jnp.zeros(found.value.shape[:2], sun_speed.dtype)
-    pseudo = jnp.zeros(found.value.shape[:2], found.value.dtype)
+    power = jnp.zeros(solution.value.shape[:2], sun_speed.dtype)
+    pseudo = jnp.zeros(solution.value.shape[:2], solution.value.dtype)
     for name, slope in jax.jacfwd(lines)(unit.errors).items():
-        sensitivity = jnp.einsum("kos,ks...->ko...", found.value, slope)
+        sensitivity = jnp.einsum("kos,ks...->ko...", solution.value, slope)
         variance = jnp.square(unit.errors[name])[None, None]
         entries = tuple(range(2, sensitivity.ndim))
         real, imaginary = sensitivity.real, sensitivity.imag
         power += jnp.sum((real**2 + imaginary**2) * variance, axis=entries)
         square = jax.lax.complex((real**2 - imaginary**2) * variance, 2 * real * imaginary * variance)
         pseudo += jnp.sum(square, axis=entries)
-    (n, power, pseudo), info = close(unit, (n, power, pseudo), power, found)
+    (n, power, pseudo), info = close(unit, (n, power, pseudo), power, solution)
     return ErrorStatistics(n, power, pseudo, outputs, info)

@@ -132,7 +132,7 @@ def shares(lumped: Lumped, stage: str, harmonics: int) -> tuple[Share, ...]:
 
 @lru_cache
 def _shares(number: int, own: str, symmetric: bool, split: bool, teeth: int, harmonics: int) -> tuple[Share, ...]:
-    found: dict[Key, list[int]] = {}
+    by_sector: dict[Key, list[int]] = {}
     for order in range(1, harmonics + 1):
         k = order * teeth % number
         if not symmetric:
@@ -143,8 +143,8 @@ def _shares(number: int, own: str, symmetric: bool, split: bool, teeth: int, har
             key, signed = ("translational", 0), order if k == 1 or not split else -order
         else:
             key, signed = (own, min(k, number - k)), order if 2 * k <= number else -order
-        found.setdefault(key, []).append(signed)
-    return tuple(Share(key, np.array(orders)) for key, orders in found.items())
+        by_sector.setdefault(key, []).append(signed)
+    return tuple(Share(key, np.array(orders)) for key, orders in by_sector.items())
 
 
 class Solved(NamedTuple):

@@ -59,7 +59,7 @@ def modal_sectors(lumped: Lumped, keys: Sequence[Key]) -> dict[Key, ModalSector]
     _, vectors = jnp.linalg.eigh(jax.lax.stop_gradient(stacked(scaled)))
     own = {kind: vectors[i, : len(matrix), : len(matrix)] for i, (kind, matrix) in enumerate(zip(kinds, scaled))}
     k = spring_stiffness(lumped)
-    found = {}
+    sectors = {}
     for kind, label in keys:  # copies of one kind share their matrix, hence their eigenvectors
         rows = deflections(lumped, sector_rows(lumped.cranks, lumped.discs, kind, label))
         inverse_root = jax.lax.rsqrt(sector_mass(lumped, kind, label))
@@ -70,8 +70,8 @@ def modal_sectors(lumped: Lumped, keys: Sequence[Key]) -> dict[Key, ModalSector]
         # A sum of squares: low frequencies keep their relative accuracy, which eigenvalues do not.
         square = jax.lax.stop_gradient(jnp.sum(k[:, None] * jnp.abs(springs) ** 2, axis=0))
         basis = sector(lumped.cranks, lumped.discs, kind, label).basis
-        found[kind, label] = ModalSector(basis, transform, springs, stiffness, square)
-    return found
+        sectors[kind, label] = ModalSector(basis, transform, springs, stiffness, square)
+    return sectors
 
 
 def stacked(matrices: Sequence[jax.Array]) -> jax.Array:

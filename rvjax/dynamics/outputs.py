@@ -24,10 +24,10 @@ from rvjax.records import Array, PyTree, Scalar
 from rvjax.units import rpm
 
 
-def _frequencies(design: RVReducer, errors: RVErrors, given: object) -> tuple[Array, Array]:
+def _frequencies(design: RVReducer, errors: RVErrors, conditions: object) -> tuple[Array, Array]:
     """Frequencies (n,) Hz, ascending, and mass-normalised shapes (n, n), one in each column."""
-    found = modes(errors.stiffened(design))
-    return found.frequency, found.shape
+    solution = modes(errors.stiffened(design))
+    return solution.frequency, solution.shape
 
 
 FREQUENCIES = Observation("frequencies", _frequencies, ("inertia", "stiffness"))
@@ -57,72 +57,72 @@ class DynamicConditions:
     method: str = condition("first_order", "of the vibration", choices=METHODS)
 
 
-def _vibration(design: RVReducer, errors: RVErrors, given: DynamicConditions) -> Solved:
+def _vibration(design: RVReducer, errors: RVErrors, conditions: DynamicConditions) -> Solved:
     """Root mean square of the output's rotation about its mean; the load on the output is the carrier's reversed."""
-    found = response(
-        _with_load(lump(errors.stiffened(design)), given),
-        sun_speed=given.sun_speed,
-        output_torque=-given.output_torque,
-        stage=given.stage,
-        harmonics=given.harmonics,
-        method=given.method,
+    solution = response(
+        _with_load(lump(errors.stiffened(design)), conditions),
+        sun_speed=conditions.sun_speed,
+        output_torque=-conditions.output_torque,
+        stage=conditions.stage,
+        harmonics=conditions.harmonics,
+        method=conditions.method,
         outputs=(ROTATION,),
     )
-    square = jnp.sum(jnp.square(found.amplitude.real) + jnp.square(found.amplitude.imag)) / 2
-    return root(square), found.info.status
+    square = jnp.sum(jnp.square(solution.amplitude.real) + jnp.square(solution.amplitude.imag)) / 2
+    return root(square), solution.info.status
 
 
-def _resonance_margin(design: RVReducer, errors: RVErrors, given: DynamicConditions) -> Solved:
+def _resonance_margin(design: RVReducer, errors: RVErrors, conditions: DynamicConditions) -> Solved:
     """Least distance of the mesh frequency from the torsional modes, over the mode; < 0: a mode is within the range."""
-    lumped = _with_load(lump(errors.stiffened(design)), given)
-    found = modes(lumped)
-    speeds = sorted((given.slowest_sun_speed, given.fastest_sun_speed))
-    low, high = sorted(abs(mesh_frequency(lumped, speed, given.stage)) / (2 * np.pi) for speed in speeds)
+    lumped = _with_load(lump(errors.stiffened(design)), conditions)
+    solution = modes(lumped)
+    speeds = sorted((conditions.slowest_sun_speed, conditions.fastest_sun_speed))
+    low, high = sorted(abs(mesh_frequency(lumped, speed, conditions.stage)) / (2 * np.pi) for speed in speeds)
     low = 0.0 if speeds[0] < 0 < speeds[1] else low  # both senses of rotation: through rest
-    torsional = (found.kind_index == KINDS.index("rotational")) | (found.kind_index == KINDS.index("coupled"))
-    elastic = torsional & (found.frequency > 0)
-    frequency = jnp.where(elastic, found.frequency, 1)
+    torsional = (solution.kind_index == KINDS.index("rotational")) | (solution.kind_index == KINDS.index("coupled"))
+    elastic = torsional & (solution.frequency > 0)
+    frequency = jnp.where(elastic, solution.frequency, 1)
     distance = jnp.maximum(low / frequency - 1, 1 - high / frequency)
     margin = jnp.min(jnp.where(elastic, distance, jnp.inf))
-    return jnp.where(jnp.isfinite(found.frequency[0]), margin, jnp.nan), found.info.status
+    return jnp.where(jnp.isfinite(solution.frequency[0]), margin, jnp.nan), solution.info.status
 
 
-def _with_load(lumped: Lumped, given: DynamicConditions) -> Lumped:
-    return lumped if given.load_inertia is None else loaded(lumped, given.load_inertia)
+def _with_load(lumped: Lumped, conditions: DynamicConditions) -> Lumped:
+    return lumped if conditions.load_inertia is None else loaded(lumped, conditions.load_inertia)
 
 
 def _at_worst(at_speed: Callable[[DynamicError], Scalar], over_range: Callable[[SpeedRange], Scalar]) -> Evaluate:
     """Vibration that errors excite at `sun_speed`, or at the worst of the range of speeds where one is given."""
 
-    def evaluate(design: RVReducer, errors: RVErrors, given: DynamicConditions) -> Solved:
-        options: dict[str, PyTree] = dict(load_inertia=given.load_inertia, pin_harmonics=given.pin_harmonics)
+    def evaluate(design: RVReducer, errors: RVErrors, conditions: DynamicConditions) -> Solved:
+        options: dict[str, PyTree] = dict(load_inertia=conditions.load_inertia, pin_harmonics=conditions.pin_harmonics)
         ends: dict[str, PyTree] = dict(
-            slowest_sun_speed=given.slowest_sun_speed, fastest_sun_speed=given.fastest_sun_speed
+            slowest_sun_speed=conditions.slowest_sun_speed, fastest_sun_speed=conditions.fastest_sun_speed
         )
         missing = [name for name, end in ends.items() if end is None]
         stiffened = errors.stiffened(design)
         if not missing:
-            worst = speed_range(stiffened, errors, **ends, speeds=given.speeds, **options)
+            worst = speed_range(stiffened, errors, **ends, speeds=conditions.speeds, **options)
             return over_range(worst), worst.info.status
-        if len(missing) == 1 or given.sun_speed is None:
+        if len(missing) == 1 or conditions.sun_speed is None:
             raise ValueError(f"conditions.{missing[0]} is missing: errors excite at a range of speeds or at sun_speed")
-        found = transmission_error(stiffened, errors, sun_speed=given.sun_speed, **options)
-        return at_speed(found), found.info.status
+        solution = transmission_error(stiffened, errors, sun_speed=conditions.sun_speed, **options)
+        return at_speed(solution), solution.info.status
 
     return evaluate
 
 
-def _acceleration(found: DynamicError) -> jax.Array:
+def _acceleration(error: DynamicError) -> jax.Array:
     """Root mean square over time, Eq. 15."""
-    line = found.amplitude[:, 0]
+    line = error.amplitude[:, 0]
     square = jnp.square(line.real) + jnp.square(line.imag)
-    square = jnp.sum(square * (2 * jnp.pi * found.frequency) ** 4) / 2
+    square = jnp.sum(square * (2 * jnp.pi * error.frequency) ** 4) / 2
     return root(square)
 
 
-def _standing(design: RVReducer, errors: RVErrors, given: DynamicConditions) -> Solved:
-    found = transmission_error(errors.stiffened(design), errors, sun_speed=0.0, pin_harmonics=given.pin_harmonics)
-    return found.peak_to_peak[0], found.info.status
+def _standing(design: RVReducer, errors: RVErrors, conditions: DynamicConditions) -> Solved:
+    error = transmission_error(errors.stiffened(design), errors, sun_speed=0.0, pin_harmonics=conditions.pin_harmonics)
+    return error.peak_to_peak[0], error.info.status
 
 
 POINTS = 64  # of the compared vibration in a mesh period
@@ -141,11 +141,11 @@ def _over_a_period(
         exact = periodic(design, samples=POINTS, **load)
         curve, status = exact.deflection[:, 0], exact.info.status
     else:
-        found = response(design, **settings, **load)
+        solution = response(design, **settings, **load)
         turn = 2 * np.pi * np.outer(np.arange(POINTS), 1 + np.arange(settings["harmonics"])) / POINTS
-        amplitude = found.amplitude[:, 0]
+        amplitude = solution.amplitude[:, 0]
         curve = jnp.cos(turn).astype(speed.dtype) @ amplitude.real - jnp.sin(turn).astype(speed.dtype) @ amplitude.imag
-        status = found.info.status
+        status = solution.info.status
     return {"output_rotation": curve - jnp.mean(curve)}, status
 
 

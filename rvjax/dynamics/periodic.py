@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.varying import scan
+from rvjax._jax.kernels import scan
 from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted, lump, spring_table
@@ -155,8 +155,8 @@ def _floquet(lumped: Lumped, sun_speed: Array, stage: str) -> Floquet:
     path = _path(lumped, sun_speed, jnp.zeros_like(sun_speed), stage, 1)
     multiplier = _largest(_product(path.steps), path)
     checks = ((path.too_slow, Status.MAX_STEPS), (_unstable(multiplier), Status.UNSTABLE))
-    found, info = gate.close(multiplier, *checks, info=at_once(multiplier))
-    return Floquet(found, info)
+    value, info = gate.close(multiplier, *checks, info=at_once(multiplier))
+    return Floquet(value, info)
 
 
 def _admitted(lumped: Lumped, stage: str, *conditions: PyTree) -> tuple[Lumped, tuple[PyTree, ...], Gate]:

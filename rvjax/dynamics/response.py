@@ -246,15 +246,17 @@ def _log_sensitivities(
     conditions = dict(sun_speed=sun_speed, output_torque=output_torque)
 
     def amplitude(changed: PyTree) -> tuple[jax.Array, jax.Array]:
-        found = FORMULAS[formula](changed, **conditions, stage=stage, harmonics=harmonics, outputs=outputs).amplitude
-        return found, found
+        sensitivities = FORMULAS[formula](
+            changed, **conditions, stage=stage, harmonics=harmonics, outputs=outputs
+        ).amplitude
+        return sensitivities, sensitivities
 
     slopes, value = jax.jacfwd(amplitude, has_aux=True)(design)
     divisor = jnp.where(value == 0, 1, value)
     paths, _ = jax.tree.flatten_with_path(slopes)
-    found = {}
+    sensitivities = {}
     for (path, slope), number in zip(paths, jax.tree.leaves(design)):
         factor = jnp.broadcast_to(number, slope.shape).astype(value.dtype)
         beside = jnp.expand_dims(divisor, range(2, slope.ndim))
-        found[jax.tree_util.keystr(path, simple=True, separator=".")] = factor * slope / beside
-    return found
+        sensitivities[jax.tree_util.keystr(path, simple=True, separator=".")] = factor * slope / beside
+    return sensitivities

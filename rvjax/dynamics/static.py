@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.varying import fori_loop
+from rvjax._jax.kernels import fori_loop
 from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted, deflections, lump, spring_stiffness, spring_table

@@ -141,11 +141,11 @@ def kinds(lumped: Lumped) -> tuple[str, ...]:
 def _real_basis(cranks: int, discs: int, kind: str) -> np.ndarray:
     number = {"planetary": cranks, "disc": discs}.get(kind)
     labels = [0] if number is None else range(2, number // 2 + 1)
-    found: list[np.ndarray] = []
+    rows: list[np.ndarray] = []
     for label in labels:
         basis = sector(cranks, discs, kind, label).basis
-        found += [basis.real * 2**0.5, basis.imag * 2**0.5] if np.iscomplexobj(basis) else [basis]
-    return np.concatenate(found, axis=1)
+        rows += [basis.real * 2**0.5, basis.imag * 2**0.5] if np.iscomplexobj(basis) else [basis]
+    return np.concatenate(rows, axis=1)
 
 
 @lru_cache

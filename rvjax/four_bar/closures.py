@@ -159,9 +159,9 @@ def _free_root(
     middle = -arctan2(b, 2 * a)
     side = s if branch == "open" else -s
     start = jax.lax.stop_gradient(quadratic)
-    found = roots.bracketed(_free_residual, (a, b, c), middle, middle + side * jnp.pi, start=start)
-    status = jnp.where(fold & (found.info.status == Status.NO_BRACKET), int(Status.CONVERGED), found.info.status)
-    return jnp.where(fold, middle, found.value), SolveInfo(status, found.info.steps, found.info.residual)
+    solution = roots.bracketed(_free_residual, (a, b, c), middle, middle + side * jnp.pi, start=start)
+    status = jnp.where(fold & (solution.info.status == Status.NO_BRACKET), int(Status.CONVERGED), solution.info.status)
+    return jnp.where(fold, middle, solution.value), SolveInfo(status, solution.info.steps, solution.info.residual)
 
 
 def _free_residual(x: Array, params: tuple[jax.Array, ...]) -> jax.Array:
@@ -221,8 +221,8 @@ def direction_angle(x: jax.Array, y: jax.Array, size: jax.Array, *, closure: str
     centre = jnp.where(x > 0, 0, jnp.where(y < 0, -jnp.pi / 2, jnp.pi / 2)).astype(x.dtype)
     quarter = jnp.asarray(jnp.pi / 2, x.dtype)
     start = jax.lax.stop_gradient(jnp.where(x > 0, y / jnp.where(x > 0, x, 1), centre))
-    found = roots.bracketed(_direction_residual, (x, y), centre - quarter, centre + quarter, start=start)
-    return found.value, found.info
+    solution = roots.bracketed(_direction_residual, (x, y), centre - quarter, centre + quarter, start=start)
+    return solution.value, solution.info
 
 
 def _direction_residual(b: Array, params: tuple[jax.Array, ...]) -> jax.Array:
@@ -243,9 +243,9 @@ def geared(links: Links, ratio: jax.Array, *, closure: str) -> Resting:
         l3 = jnp.abs(e + links.d3)
         widest = jnp.abs(_misfit(links, jnp.zeros_like(slip))) + 2 * l3
         bound = jax.lax.stop_gradient(1.01 * widest * l3 / stiff) + jnp.abs(jax.lax.stop_gradient(slip))
-        found = roots.bracketed(_slip_residual, (links, ratio), -bound, bound, start=jax.lax.stop_gradient(slip))
-        solved, info = found.info.status == Status.CONVERGED, found.info
-        slip = jnp.where(solved, found.value, slip)  # derivatives stay finite; the status reports the failure
+        solution = roots.bracketed(_slip_residual, (links, ratio), -bound, bound, start=jax.lax.stop_gradient(slip))
+        solved, info = solution.info.status == Status.CONVERGED, solution.info
+        slip = jnp.where(solved, solution.value, slip)  # derivatives stay finite; the status reports the failure
     x, y = _offset(links, links.psi + slip)
     misfit = stretch(links.l, x, y) - links.d2
     if closure == "first_order":

@@ -69,8 +69,8 @@ def _under_load(unit: Unit, angles: int) -> tuple[jax.Array, jax.Array]:
     def vectors(parts: tuple[Unit, list[Fit]], first: Crank) -> list[Vector]:
         unit, fits = parts
         scale = 1 / (len(unit.axes) * unit.radius**2)  # vectors near 1, however many are multiplied
-        found = [vector(unit, own, unit.disc_crank(k, first)) for k, own in enumerate(fits)]
-        return [(scale * cosine, scale * sine) for cosine, sine in found]
+        sides = [vector(unit, own, unit.disc_crank(k, first)) for k, own in enumerate(fits)]
+        return [(scale * cosine, scale * sine) for cosine, sine in sides]
 
     def error(parts: tuple[Unit, list[Fit]], first: Crank) -> jax.Array:
         return _mean_angle(vectors(parts, first))
@@ -88,12 +88,12 @@ def _without_load(unit: Unit, angles: int) -> tuple[jax.Array, jax.Array]:
 
     def discs(parts: Turning) -> list[tuple[Vector, Vector]]:
         """1 + still and turning of each disc, in the direction of the first crank."""
-        found = []
+        vectors = []
         for k in range(count):
             (x, y), moved = still_and_turning(axes, parts, k)
             turned = unit.disc_crank(k, Crank(*moved))
-            found.append(((1 + x, y), (turned.cosine, turned.sine)))
-        return found
+            vectors.append(((1 + x, y), (turned.cosine, turned.sine)))
+        return vectors
 
     def error(parts: Turning, first: Crank) -> jax.Array:
         u = (first.cosine, first.sine)
@@ -216,8 +216,8 @@ def _of_two(unit: Unit, k: int, angles: int) -> tuple[jax.Array, jax.Array]:
     def wave(parts: _Apart) -> Wave:
         radius, (still, moving), _ = parts
         back = Crank(2 * radius + jnp.real(still), -jnp.imag(still))
-        found = back.turned(jnp.real(moving), jnp.imag(moving)).turned(turn.cosine, turn.sine)
-        return Wave(found.cosine, -found.sine, jnp.zeros_like(found.cosine))
+        place = back.turned(jnp.real(moving), jnp.imag(moving)).turned(turn.cosine, turn.sine)
+        return Wave(place.cosine, -place.sine, jnp.zeros_like(place.cosine))
 
     parts = (unit.radius, apart(unit, k), bore_excess(unit, k))
     score = Score(lambda parts: lambda first: value(parts, first), lambda value: value, wave)

@@ -31,21 +31,21 @@ class Ways(Protocol):
 
 
 def _spectrum(
-    design: RVReducer, errors: RVErrors, given: Ways, torques: Array | None, orders: tuple[int, ...], alike: bool
+    design: RVReducer, errors: RVErrors, conditions: Ways, torques: Array | None, orders: tuple[int, ...], alike: bool
 ) -> Spectrum:
     """Crank revolutions are equal, so only multiples of the pin count are not zero."""
     pins = design.cycloid.pin_count
 
     def turn(torque: Scalar) -> Array:
         ways: dict[str, PyTree] = dict(
-            cranks=given.cranks, gear_stiffness_ratio=given.gear_stiffness_ratio, closure=given.closure
+            cranks=conditions.cranks, gear_stiffness_ratio=conditions.gear_stiffness_ratio, closure=conditions.closure
         )
-        return harmonics(design, errors, output_torque=torque, angles=given.angles, **ways)
+        return harmonics(design, errors, output_torque=torque, angles=conditions.angles, **ways)
 
     waves = turn(0.0)[None] if torques is None else jax.vmap(turn)(torques)
     # The cranks turn against the output: X e^(i h crank) is conj(X) e^(i h pins output). A failed turn stays NaN.
-    found = [jnp.conj(waves[:, k // pins]) if k % pins == 0 else 0 * waves[:, 0] for k in orders]
-    return jnp.real(waves[:, 0]), jnp.stack(found, axis=1)
+    coefficients = [jnp.conj(waves[:, k // pins]) if k % pins == 0 else 0 * waves[:, 0] for k in orders]
+    return jnp.real(waves[:, 0]), jnp.stack(coefficients, axis=1)
 
 
 CURVE = Observation("curve", _spectrum, samples="angles", period=lambda design: int(design.cycloid.pin_count))
@@ -66,26 +66,28 @@ class FourBarConditions:
     closure: str | None = condition(None, "of the crank linkages; the exact one by default", choices=CLOSURES)
 
 
-def _turn(given: FourBarConditions, *, loaded: bool = True) -> dict[str, PyTree]:
-    torque = given.output_torque if loaded else 0.0
-    ways = dict(cranks=given.cranks, gear_stiffness_ratio=given.gear_stiffness_ratio, closure=given.closure)
-    return dict(ways, angles=given.angles, output_torque=torque)
+def _turn(conditions: FourBarConditions, *, loaded: bool = True) -> dict[str, PyTree]:
+    torque = conditions.output_torque if loaded else 0.0
+    ways = dict(
+        cranks=conditions.cranks, gear_stiffness_ratio=conditions.gear_stiffness_ratio, closure=conditions.closure
+    )
+    return dict(ways, angles=conditions.angles, output_torque=torque)
 
 
-def _transmission_error(design: RVReducer, errors: RVErrors, given: FourBarConditions) -> Solved:
-    found = figures(design, errors, **_turn(given), only="error")
-    return found.peak_to_peak, found.info.status
+def _transmission_error(design: RVReducer, errors: RVErrors, conditions: FourBarConditions) -> Solved:
+    statistics = figures(design, errors, **_turn(conditions), only="error")
+    return statistics.peak_to_peak, statistics.info.status
 
 
-def _misfit(design: RVReducer, errors: RVErrors, given: FourBarConditions) -> Solved:
-    found = figures(design, errors, **_turn(given, loaded=False), only="misfit")
-    return found.largest_misfit, found.info.status
+def _misfit(design: RVReducer, errors: RVErrors, conditions: FourBarConditions) -> Solved:
+    statistics = figures(design, errors, **_turn(conditions, loaded=False), only="misfit")
+    return statistics.largest_misfit, statistics.info.status
 
 
-def _curve(design: RVReducer, errors: RVErrors, given: FourBarConditions) -> tuple[Array, Array]:
+def _curve(design: RVReducer, errors: RVErrors, conditions: FourBarConditions) -> tuple[Array, Array]:
     loaded = design.cranks.bearing_stiffness is not None  # a study of the misfit alone needs none
-    found = revolution(design, errors, **_turn(given, loaded=loaded))
-    return found.crank_angle, found.error
+    turn = revolution(design, errors, **_turn(conditions, loaded=loaded))
+    return turn.crank_angle, turn.error
 
 
 IT6 = (-6.5 * um, 6.5 * um)

@@ -290,14 +290,14 @@ Numbers = tuple[RVReducer, RVErrors, Any, Any]  # design, errors, torque, ratio 
 def _revolution(numbers: Numbers, *, angles: int, loaded: bool, **methods: str) -> Revolution:
     unit, ratio = take_apart(*numbers, loaded=loaded)
     curve = _curve(unit, ratio, angles, methods)
-    found = extremes(unit, angles) if _is_direct(**methods) else _of_curve(curve)
+    statistics = extremes(unit, angles) if _is_direct(**methods) else _of_curve(curve)
     return Revolution(
         crank_angle=_crank_angles(unit, angles),
         error=curve.error,
         misfit=curve.misfit,
         mean=jnp.mean(curve.error),
         harmonics=_harmonics(curve.error),
-        **vars(found),
+        **vars(statistics),
     )
 
 
@@ -317,10 +317,10 @@ def _figures(numbers: Numbers, *, angles: int, loaded: bool, only: str | None, *
     unit, ratio = take_apart(*numbers, loaded=loaded)
     if _is_direct(**methods):
         return extremes(unit, angles, PARTS if only is None else (only,))
-    found, missing = _of_curve(_curve(unit, ratio, angles, methods)), unit.radius * jnp.nan
+    statistics, missing = _of_curve(_curve(unit, ratio, angles, methods)), unit.radius * jnp.nan
     if only == "misfit":
-        return found.replace(maximum=missing, minimum=missing, peak_to_peak=missing)
-    return found.replace(largest_misfit=missing) if only == "error" else found
+        return statistics.replace(maximum=missing, minimum=missing, peak_to_peak=missing)
+    return statistics.replace(largest_misfit=missing) if only == "error" else statistics
 
 
 def _is_direct(*, cranks: str, closure: str, branch: str) -> bool:

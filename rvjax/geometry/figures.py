@@ -45,7 +45,7 @@ def _drive_figures(read: PyTree) -> Figures:
     (cycloid, output, contact, torque), gate = admit(read, _harmless_drive(read), *checks)
 
     each = jnp.abs(torque) / cycloid.disc_count  # of the carrier on one disc
-    found, pressure, info = of_ring(cycloid, contact, each, gate)
+    values, pressure, info = of_ring(cycloid, contact, each, gate)
     e, circle, pin = cycloid.eccentricity, output.circle_radius, output.pin_radius
     room = e + output.hole_clearance / 2  # hole radius less pin radius
     hole = pin + room
@@ -61,7 +61,7 @@ def _drive_figures(read: PyTree) -> Figures:
         force = each / circle * largest_share(output.count)
         own["hole_pressure"] = root(force * squared_pressure(contact) * room / (pin * hole))  # 1/R* = 1/rw - 1/rh
     own, _ = gate.close(own)
-    return Figures(**found, **own, pin_pressure=pressure, info=info, crank_room=None, contact_ratio=None, mass=None)
+    return Figures(**values, **own, pin_pressure=pressure, info=info, crank_room=None, contact_ratio=None, mass=None)
 
 
 def _ring_share(k1: Array) -> Array:
@@ -156,7 +156,7 @@ def _rv_figures(read: PyTree) -> Figures:
     pins, circle = cycloid.pin_count, cranks.circle_radius
     ring, pin = cycloid.pin_circle_radius, cycloid.pin_radius
     share = cycloid.disc_teeth / (cycloid.disc_count * (pins + gears.sun_teeth / gears.planet_teeth))
-    found, pressure, info = of_ring(cycloid, contact, jnp.abs(torque) * share, gate)
+    values, pressure, info = of_ring(cycloid, contact, jnp.abs(torque) * share, gate)
     own, _ = gate.close(
         dict(
             crank_room=ring - pin - cycloid.eccentricity - circle,
@@ -164,7 +164,7 @@ def _rv_figures(read: PyTree) -> Figures:
             mass=None if masses is None else sum(map(jnp.sum, masses)),
         )
     )
-    return Figures(**found, **own, pin_pressure=pressure, info=info)
+    return Figures(**values, **own, pin_pressure=pressure, info=info)
 
 
 def _harmless_rv(read: object) -> PyTree:

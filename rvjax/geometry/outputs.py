@@ -28,23 +28,23 @@ class DriveGeometryConditions:
     output_torque: float = condition(0.0, "torque of the discs on the output", unit="N m", torque=True)
 
 
-def of_design(design: RVReducer, errors: RVErrors, given: Any) -> Figures:
+def of_design(design: RVReducer, errors: RVErrors, conditions: Any) -> Figures:
     """Figures of the design; errors are not read."""
-    return figures(design, given.output_torque)
+    return figures(design, conditions.output_torque)
 
 
 def _taking(name: str) -> Callable[..., Solved]:
-    def take(found: Figures, design: RVReducer, given: object) -> Solved:
-        status = jnp.asarray(found.info.status)
+    def take(values: Figures, design: RVReducer, conditions: object) -> Solved:
+        status = jnp.asarray(values.info.status)
         if name not in ("pin_pressure", "hole_pressure"):  # the other figures hold for an undercut flank too
             status = jnp.where(status == Status.UNDERCUT, Status.CONVERGED, status)
-        return getattr(found, name), status
+        return getattr(values, name), status
 
     return take
 
 
 def _needing(part: str) -> Callable[[Any, Any], None]:
-    def refuse(design: RVReducer, given: object) -> None:
+    def refuse(design: RVReducer, conditions: object) -> None:
         if design.cycloid.pin_count != design.cycloid.disc_teeth + 1:
             raise ValueError(
                 f"design.cycloid.pin_count = {design.cycloid.pin_count}: must be disc_teeth + 1 = "

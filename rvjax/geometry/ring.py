@@ -185,7 +185,7 @@ def of_ring(
     ground = Ground.of(cycloid)
     plain = ground.least_convex(pins)
     convex, steepest, hollow = of_flank(cycloid, ground, plain)
-    found: dict[str, Any] = dict(
+    values: dict[str, Any] = dict(
         shortening=cycloid.shortening_coefficient,
         convex_radius=convex,
         pin_gap=2 * (ring * math.sin(math.pi / pins) - pin),
@@ -194,15 +194,15 @@ def of_ring(
         envelope_volume=None,
     )
     if contact is not None:
-        found["envelope_volume"] = math.pi * (ring + pin) ** 2 * cycloid.disc_count * contact.face_width
-    found, info = gate.close(found)
+        values["envelope_volume"] = math.pi * (ring + pin) ** 2 * cycloid.disc_count * contact.face_width
+    values, info = gate.close(values)
     if contact is None:
-        return found, None, info
+        return values, None, info
     sharp = convex <= 0
     thin = jnp.where(sharp, (ground.offset + plain) / 2, ground.offset)
     square = pressure(cycloid, ground._replace(offset=thin), contact, disc_torque)
     narrow = hollow * pin >= 1  # no pin fits into a hollow of the harmonics
-    return found, *gate.close(square, (sharp, Status.UNDERCUT), (narrow, Status.INVALID_GEOMETRY))
+    return values, *gate.close(square, (sharp, Status.UNDERCUT), (narrow, Status.INVALID_GEOMETRY))
 
 
 def material(contact: Contact | None) -> list[Scalar]:

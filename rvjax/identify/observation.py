@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._ground.linear import svd
-from rvjax._jax.arguments import checked
+from rvjax._jax.checks import checked
 from rvjax.records import Array, PyTree
 
 

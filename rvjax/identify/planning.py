@@ -14,8 +14,8 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Seq
 
 import numpy as np
 
-from rvjax._jax.arguments import checked
-from rvjax._jax.blocks import SETS
+from rvjax._jax.checks import checked
+from rvjax._jax.sizes import SETS
 from rvjax.identify.elements import mapped_values
 from rvjax.identify.identification import Model, Problem, counted, program_of
 from rvjax.identify.information import Identifiability, Spectrum, findings

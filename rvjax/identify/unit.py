@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
-from rvjax._jax.arguments import checked
+from rvjax._jax.checks import checked
 from rvjax.identify.elements import mapped_values
 from rvjax.identify.goodness_of_fit import (
     ADEQUATE,

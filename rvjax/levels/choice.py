@@ -84,10 +84,10 @@ def choose(
             raise ValueError(f"accuracy of {name!r} = {value!r}: must be a positive number")
     models = (table or stored()).models.values()
     wanted_of: dict[str, tuple[Model, str, list[str]]] = {}
-    found = {}
+    choices = {}
     for name in accuracy:
         if not (known := _known(models, name, conditions)):
-            found[name] = _unmeasured(name)
+            choices[name] = _unmeasured(name)
             continue
         model, reason = _model(known, design, conditions, tolerances)
         wanted_of.setdefault(model.name, (model, reason, []))[2].append(name)
@@ -113,10 +113,10 @@ def choose(
                 why = f"cheapest of {len(model.levels)} levels with twice its measured error below {limit}"
                 why += f"; not modelled: {level.without}" if level.without else ""
             instead = level.instead.get(name)
-            found[name] = Choice(
+            choices[name] = Choice(
                 name, level.name, settings, level.precision, bound, level.ns, why, instead, level.without
             )
-    return {name: found[name] for name in outputs if name in found}
+    return {name: choices[name] for name in outputs if name in choices}
 
 
 def as_given(design: Design, outputs: Sequence[str], conditions: object, *, tolerances: object) -> dict[str, Choice]:
@@ -128,10 +128,10 @@ def as_given(design: Design, outputs: Sequence[str], conditions: object, *, tole
         conditions: how the reducer runs.
         tolerances: of the units; record with a `Tolerance` or None.
     """
-    found = {}
+    choices = {}
     models = stored().models.values()
     for name in outputs:
-        found[name] = _unmeasured(name)
+        choices[name] = _unmeasured(name)
         if not (known := _known(models, name, conditions)):
             continue
         model, reason = _model(known, design, conditions, tolerances)
@@ -148,8 +148,10 @@ def as_given(design: Design, outputs: Sequence[str], conditions: object, *, tole
             if bound == math.inf:
                 bound, why = None, f"{why}; with larger errors it failed for a unit that the exact level solves"
             why += f"; not modelled: {level.without}" if level.without else ""
-            found[name] = Choice(name, level.name, settings, level.precision, bound, level.ns, why, None, level.without)
-    return found
+            choices[name] = Choice(
+                name, level.name, settings, level.precision, bound, level.ns, why, None, level.without
+            )
+    return choices
 
 
 def _no_fewer(value: PyTree, wanted_of: PyTree) -> PyTree:
@@ -215,16 +217,16 @@ def _model(known: Sequence[Model], design: object, conditions: object, tolerance
 
 def _overridden(design: PyTree, prefix: str = "") -> dict[str, Scalar]:
     """Numbers by path that differ from their derived value (`derived_NAME`) by more than rounding."""
-    found: dict[str, Scalar] = {}
+    values: dict[str, Scalar] = {}
     for f in dataclasses.fields(design):
         value, derived = getattr(design, f.name), getattr(design, f"derived_{f.name}", None)
         if isinstance(value, Record):
-            found |= _overridden(value, f"{prefix}{f.name}.")
+            values |= _overridden(value, f"{prefix}{f.name}.")
         elif value is None or derived is None:
             continue
         elif not (is_concrete(value) and is_concrete(derived) and np.allclose(value, derived, rtol=1e-9, atol=0)):
-            found[prefix + f.name] = value
-    return found
+            values[prefix + f.name] = value
+    return values
 
 
 def _size(model: Model, tolerances: object) -> tuple[float, str]:
@@ -243,31 +245,31 @@ def reach(tolerances: PyTree) -> dict[str, float]:
     Args:
         tolerances: record with a `Tolerance`, a constant or None in each field.
     """
-    found = {}
+    largest = {}
     for f in dataclasses.fields(tolerances):
         value = getattr(tolerances, f.name)
         if isinstance(value, Tolerance):
             mean, variance, _, _ = value.moments()
-            found[f.name] = float(np.max(np.abs(mean) + 3 * np.sqrt(variance)))
+            largest[f.name] = float(np.max(np.abs(mean) + 3 * np.sqrt(variance)))
         elif value is not None and np.any(value != 0):
-            found[f.name] = float(np.max(np.abs(value)))
-    return found
+            largest[f.name] = float(np.max(np.abs(value)))
+    return largest
 
 
 def design_numbers(design: PyTree, prefix: str = "") -> dict[str, float]:
     """Numbers of a design by path, with counts and elements of arrays; NaN for a traced number."""
-    found: dict[str, float] = {}
+    numbers: dict[str, float] = {}
     for f in dataclasses.fields(design):
         value = getattr(design, f.name)
         if isinstance(value, Record):
-            found |= design_numbers(value, f"{prefix}{f.name}.")
+            numbers |= design_numbers(value, f"{prefix}{f.name}.")
         elif value is not None:
             path = prefix + f.name
             if is_concrete(value) and np.ndim(value) == 1:
-                found |= {f"{path}[{k}]": float(x) for k, x in enumerate(value)}
+                numbers |= {f"{path}[{k}]": float(x) for k, x in enumerate(value)}
             else:
-                found[path] = float(value) if is_concrete(value) and np.ndim(value) == 0 else math.nan
-    return found
+                numbers[path] = float(value) if is_concrete(value) and np.ndim(value) == 0 else math.nan
+    return numbers
 
 
 @cache

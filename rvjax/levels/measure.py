@@ -8,7 +8,6 @@ import os
 import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import models
-from rvjax._jax.compile_cache import Options, understood
+from rvjax._jax.programs import Options, understood
 from rvjax.levels.choice import design_numbers, reach
 from rvjax.levels.table import Level, Model, Table
 from rvjax.outputs import Cases, Reading, Way
@@ -89,12 +88,12 @@ def measure(*, quick: bool = False, seed: int = 0, say: Callable[[str], None] = 
         seed: of the cases.
         say: called with the text of the next measurement.
     """
-    found = {}
+    models = {}
     for cases in measured(quick=quick):
         say(cases.name)
-        found[cases.name] = measure_model(cases, seed=seed, seconds=0.1 if quick else 0.3)
+        models[cases.name] = measure_model(cases, seed=seed, seconds=0.1 if quick else 0.3)
     load = list(os.getloadavg()) if hasattr(os, "getloadavg") else []
-    return Table({**machine(), "load": load}, seed, found)
+    return Table({**machine(), "load": load}, seed, models)
 
 
 def measured(*, quick: bool = False) -> list[Cases]:
@@ -161,16 +160,16 @@ def evaluate(
     errors = errors.bounded(cases.bounds) if cases.bounds else errors
     names = instead or {name: name for name in cases.outputs}
     results: dict[Any, Any] = {}  # which outputs may share
-    found = {}
+    results_of = {}
     for name, source in names.items():
         of = kind.outputs[source].evaluate
         if isinstance(of, Reading):
-            found[name] = of.within(results, design, errors, given)
+            results_of[name] = of.within(results, design, errors, given)
         else:
-            found[name] = of(design, errors, given)
-    values = {name: value for name, (value, _) in found.items()}
+            results_of[name] = of(design, errors, given)
+    values = {name: value for name, (value, _) in results_of.items()}
     nothing = jnp.full_like(next(iter(values.values())), jnp.nan)
-    return {o: values.get(o, nothing) for o in cases.outputs}, worst(jnp.stack([s for _, s in found.values()]))
+    return {o: values.get(o, nothing) for o in cases.outputs}, worst(jnp.stack([s for _, s in results_of.values()]))
 
 
 def measure_model(cases: Cases, *, seed: int, seconds: float = 0.3) -> Model:
@@ -184,8 +183,7 @@ def measure_model(cases: Cases, *, seed: int, seconds: float = 0.3) -> Model:
     plan = [(way, precision) for way in cases.ways for precision in way.precisions]
     first = draw(cases, 0, 1.0, seed)
     inputs = {precision: _cast(first, precision) for precision in ("float64", "float32")}
-    with ThreadPoolExecutor(2) as pool:  # the compiler leaves the interpreter alone
-        made = list(pool.map(lambda item: _compiled(cases, item[0], inputs[item[1]]), plan))
+    made = [_compiled(cases, way, inputs[precision]) for way, precision in plan]
     names = [f"{way.name}, {precision}" for way, precision in plan]
     reference = names.index(f"{cases.ways[-1].name}, float64")
     errors, typical, failed = _errors(cases, [program for program, _ in made], [p for _, p in plan], reference, seed)
@@ -286,10 +284,10 @@ def _errors(
             for o in cases.outputs:
                 typical[o][s] += np.sum(np.mean(values[o][good].reshape(good.sum(), -1) ** 2, axis=1))
             for k, program in enumerate(programs):
-                found, own = jax.device_get(program(*given[precisions[k]]))
+                computed, own = jax.device_get(program(*given[precisions[k]]))
                 fine = succeeded(np.asarray(own))[good]
                 for o in cases.outputs:
-                    off = np.abs(found[o].astype(float) - values[o])[good].reshape(good.sum(), -1)
+                    off = np.abs(computed[o].astype(float) - values[o])[good].reshape(good.sum(), -1)
                     off[~fine] = np.inf  # no value where the reference has one
                     off[np.isnan(off)] = np.inf
                     largest[o][k, s] = max(largest[o][k, s], off.max(initial=0.0))

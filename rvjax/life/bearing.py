@@ -11,10 +11,10 @@ import numpy as np
 
 from rvjax import status
 from rvjax._ground.choices import choose
-from rvjax._jax.blocks import LOADS, padded
-from rvjax._jax.compile_cache import quick
 from rvjax._jax.elementary import log, nonnegative, power
-from rvjax._jax.varying import scan
+from rvjax._jax.kernels import scan
+from rvjax._jax.programs import quick
+from rvjax._jax.sizes import LOADS, padded
 from rvjax._reducer.bearings import RollerBearing
 from rvjax._reducer.plausible import checked
 from rvjax.designs import expect
@@ -309,5 +309,5 @@ def damaged(
     if method == "slices":
         rollers = laminae(bearing, loose.clearance, loose.tilt, loose.crowned)
         return slices(bearing, force, angle, weight, rated, rollers)
-    found = basic(magnitude(force), weight, rated) if method == "basic" else raceway(force, angle, weight, rated)
-    return found, status.at_once(found.rate)
+    damage = basic(magnitude(force), weight, rated) if method == "basic" else raceway(force, angle, weight, rated)
+    return damage, status.at_once(damage.rate)

@@ -74,8 +74,8 @@ def _rated(bearing: RollerBearing) -> tuple[jax.Array, jax.Array]:
     bearing = promote(bearing)
     failed = [failed for failed, _ in unfit(bearing)]
     good = ~(failed[0] | failed[1])
-    found = ratings(jax.tree.map(lambda x, spare: jnp.where(good, x, spare), bearing, harmless(bearing)))
-    return jnp.where(good, found.dynamic, jnp.nan), jnp.where(good, found.static, jnp.nan)
+    rated = ratings(jax.tree.map(lambda x, spare: jnp.where(good, x, spare), bearing, harmless(bearing)))
+    return jnp.where(good, rated.dynamic, jnp.nan), jnp.where(good, rated.static, jnp.nan)
 
 
 def check_ratings(bearing: RollerBearing, name: str) -> None:
@@ -187,8 +187,8 @@ def _power_coefficients() -> list[float]:
     """Coefficients of c^2, c^3 .. in a polynomial for c^(40/9), 0 <= c <= 1, within 5e-9; faster than powers."""
     c = (1 - np.cos(np.pi * (np.arange(1000) + 0.5) / 1000)) / 2
     columns = np.polynomial.chebyshev.chebvander(2 * c - 1, 12) * (c * c)[:, None]
-    found = np.linalg.lstsq(columns, c ** (40 / 9), rcond=None)[0]
-    series = np.polynomial.Chebyshev(found, domain=[0, 1])
+    coefficients = np.linalg.lstsq(columns, c ** (40 / 9), rcond=None)[0]
+    series = np.polynomial.Chebyshev(coefficients, domain=[0, 1])
     return [float(x) for x in series.convert(kind=np.polynomial.Polynomial, domain=[-1, 1]).coef]
 
 

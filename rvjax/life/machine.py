@@ -285,7 +285,7 @@ def damages(
 
         return jax.vmap(jax.vmap(one, 1), 1)(force)
 
-    found, info = by_bearing(bearings.arm, arm, errors.bearing_clearance)
+    arm_damage, info = by_bearing(bearings.arm, arm, errors.bearing_clearance)
     infos = [worst_of(info)]
     hardest = [jnp.max(magnitude(arm)) / ratings(bearings.arm).static]
     other = None
@@ -301,7 +301,7 @@ def damages(
             static = loads.static
         hardest.append(jnp.max(static) / rated.static)
     whole = worst_of(jax.tree.map(lambda *x: jnp.stack(x), *infos))
-    return Damages(found, other, jnp.max(jnp.stack(hardest)), whole)
+    return Damages(arm_damage, other, jnp.max(jnp.stack(hardest)), whole)
 
 
 def reliability_factor(reliability: jax.Array) -> jax.Array:

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.compile_cache import QUICK
+from rvjax._jax.programs import QUICK
 from rvjax.catalogue import RV_40E, part_class
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import RVReducer
@@ -143,9 +143,9 @@ def turned_and_rated(design: RVReducer, errors: RVErrors, given: PyTree) -> tupl
     before = np.concatenate(
         [np.minimum(2 * np.arange(n), 2), np.tile((np.arange(plan.samples) > 0) & plan.near, phases)]
     )
-    found = instants(plan.layout, read, torques, angles, before)
+    turn = instants(plan.layout, read, torques, angles, before)
 
-    around, rest = jax.tree.map(lambda x: x[:n], found), jax.tree.map(lambda x: x[n:], found)
+    around, rest = jax.tree.map(lambda x: x[:n], turn), jax.tree.map(lambda x: x[n:], turn)
 
     def each(x: jax.Array) -> jax.Array:
         return jnp.swapaxes(x.reshape(phases, plan.samples, *x.shape[1:]), 0, 1)
@@ -162,20 +162,20 @@ def sought(design: RVReducer, errors: RVErrors, given: DriveLifeConditions) -> R
     )
 
 
-def _life(found: Rating, design: RVReducer, given: object) -> Solved:
-    return found.life, found.info.status
+def _life(rated_life: Rating, design: RVReducer, given: object) -> Solved:
+    return rated_life.life, rated_life.info.status
 
 
-def _arm(found: Rating, design: RVReducer, given: object) -> Solved:
-    return jnp.min(found.arm), found.info.status
+def _arm(rated_life: Rating, design: RVReducer, given: object) -> Solved:
+    return jnp.min(rated_life.arm), rated_life.info.status
 
 
-def _safety(found: Rating, design: RVReducer, given: object) -> Solved:
-    return found.static_safety, found.info.status
+def _safety(rated_life: Rating, design: RVReducer, given: object) -> Solved:
+    return rated_life.static_safety, rated_life.info.status
 
 
-def _torque(found: RatedTorque, design: RVReducer, given: object) -> Solved:
-    return found.torque, found.info.status
+def _torque(rated: RatedTorque, design: RVReducer, given: object) -> Solved:
+    return rated.torque, rated.info.status
 
 
 def _refusing(

@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.compile_cache import quick
-from rvjax._jax.varying import while_loop
+from rvjax._jax.kernels import while_loop
+from rvjax._jax.programs import quick
 from rvjax._reducer.bearings import Bearings
 from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
@@ -112,8 +112,8 @@ def largest_root(evaluate: Evaluate, start: jax.Array, memory: jax.Array) -> Roo
     first = Search(
         start, memory, -far, far, jnp.zeros((), bool), nothing, nothing, jnp.ones((), start.dtype), zero - 1, zero, zero
     )
-    found = while_loop(lambda state: state.status == -1, onward, first)
-    return found.x, found.memory, SolveInfo(found.status, found.steps, jnp.abs(found.value))
+    search = while_loop(lambda state: state.status == -1, onward, first)
+    return search.x, search.memory, SolveInfo(search.status, search.steps, jnp.abs(search.value))
 
 
 @record
@@ -205,11 +205,11 @@ def _missing(plan: Plan, given: Given, x: jax.Array, start: jax.Array) -> Evalua
     read = Read(given.design, given.errors, given.eccentricity, torque, jnp.zeros_like(x), refused)
     angles = plan.input_angles(given.design, x.dtype)
     forces = bearing_forces(plan.layout, read, torque, angles, start, near=plan.near)
-    found = damages(plan, given.bearings, given.errors, forces, jnp.ones_like(torque), given.tilt)
-    share = found.whole * given.budget / 1e6  # of the life that the wanted revolutions take
+    damage = damages(plan, given.bearings, given.errors, forces, jnp.ones_like(torque), given.tilt)
+    share = damage.whole * given.budget / 1e6  # of the life that the wanted revolutions take
     loaded = share > 0
     value = jnp.where(loaded, -jnp.log(jnp.where(loaded, share, 1)) / LIFE, 1)
-    status = worst(jnp.append(jnp.ravel(forces.info.status), found.info.status))
+    status = worst(jnp.append(jnp.ravel(forces.info.status), damage.info.status))
     assert forces.displacements is not None
     return value, status, jnp.sum(forces.info.steps), forces.displacements
 

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.compile_cache import quick
 from rvjax._jax.elementary import power
+from rvjax._jax.programs import quick
 from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer, expect
@@ -123,19 +123,19 @@ def by_forces(plan: Plan, given: Entered, errors: PyTree, forces: BearingForces)
         forces: (samples, phases, ...).
     """
     turned = revolutions(plan.layout.pins, given.speed, given.time)
-    found = damages(plan, given.bearings, errors, forces, turned.share, given.tilt)
+    damage = damages(plan, given.bearings, errors, forces, turned.share, given.tilt)
     per_time = turned.per_time / (1e6 * given.factor)  # Eq. 22
 
     values = dict(
-        life=inverse(found.whole * per_time),
-        arm=inverse(found.arm.rate * per_time),
-        arm_load=found.arm.load,
-        static_safety=inverse(found.hardest),
+        life=inverse(damage.whole * per_time),
+        arm=inverse(damage.arm.rate * per_time),
+        arm_load=damage.arm.load,
+        static_safety=inverse(damage.hardest),
     )
-    if found.support is not None:
-        values |= dict(support=inverse(found.support.rate * per_time), support_load=found.support.load)
-    state = worst(jnp.append(jnp.ravel(forces.info.status), found.info.status))
-    ended = jnp.where(found.whole * per_time > 0, Status.CONVERGED, Status.UNLOADED)
+    if damage.support is not None:
+        values |= dict(support=inverse(damage.support.rate * per_time), support_load=damage.support.load)
+    state = worst(jnp.append(jnp.ravel(forces.info.status), damage.info.status))
+    ended = jnp.where(damage.whole * per_time > 0, Status.CONVERGED, Status.UNLOADED)
     info = SolveInfo(
         jnp.where(succeeded(state), ended, state).astype(jnp.int32),
         jnp.sum(forces.info.steps),
@@ -164,9 +164,9 @@ def first_failures(rated: Rating) -> Failures:
         rated: of one unit.
     """
 
-    def share(own: jax.Array) -> jax.Array:
-        finite = jnp.isfinite(own) & jnp.isfinite(rated.life)
-        return jnp.where(finite, power(jnp.where(finite, rated.life / jnp.where(finite, own, 1), 1), WEIBULL), 0)
+    def share(life: jax.Array) -> jax.Array:
+        finite = jnp.isfinite(life) & jnp.isfinite(rated.life)
+        return jnp.where(finite, power(jnp.where(finite, rated.life / jnp.where(finite, life, 1), 1), WEIBULL), 0)
 
     return Failures(share(rated.arm), None if rated.support is None else share(rated.support))
 
@@ -182,15 +182,15 @@ def phase_shares(life_of: Callable[[Duty], np.ndarray], duty: Duty) -> np.ndarra
         duty: of p phases, columns (p,).
     """
     speed = np.asarray(duty.output_speed, float)
-    found = []
-    for phase, own in enumerate(speed):
+    shares = []
+    for phase, phase_speed in enumerate(speed):
         sides = []
         for factor in (1 + _STEP, 1 - _STEP):
             changed = speed.copy()
-            changed[phase] = factor * own
+            changed[phase] = factor * phase_speed
             sides.append(np.log(life_of(duty.replace(output_speed=changed))))
-        found.append((sides[1] - sides[0]) / np.log((1 + _STEP) / (1 - _STEP)) if own else 0 * sides[0])
-    return np.asarray(found)
+        shares.append((sides[1] - sides[0]) / np.log((1 + _STEP) / (1 - _STEP)) if phase_speed else 0 * sides[0])
+    return np.asarray(shares)
 
 
 class Orders(NamedTuple):

@@ -5,7 +5,7 @@ Derived in this project: docs/models/loaded.md.
 """
 
 from rvjax.loaded.balance import compliance as compliance, forces as forces
-from rvjax.loaded.case import Case as Case, turned as turned
+from rvjax.loaded.case import Case as Case, output_rotation as output_rotation
 from rvjax.loaded.cases import MACHINE as MACHINE, RATED as RATED, WHOLE as WHOLE
 from rvjax.loaded.encoder import Reading, housing_orders, reading
 from rvjax.loaded.equilibrium import (
@@ -17,7 +17,7 @@ from rvjax.loaded.equilibrium import (
     equilibrium,
 )
 from rvjax.loaded.inputs import SUPPORTS as SUPPORTS, Read as Read, unchecked as unchecked
-from rvjax.loaded.kinds import admit as admit, check_input as check_input, named as named
+from rvjax.loaded.kinds import admit as admit, check_input as check_input, named_forces as named_forces
 from rvjax.loaded.laws import CONTACTS as CONTACTS
 from rvjax.loaded.observation import (
     HEAD_PARTS as HEAD_PARTS,

@@ -14,11 +14,10 @@ import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 
-from rvjax._jax.batching import TracedLate
-from rvjax._jax.blocks import EQUILIBRIA, GROUP
-from rvjax._jax.varying import like
+from rvjax._jax.kernels import BatchedKernel, like
+from rvjax._jax.sizes import EQUILIBRIA, GROUP
 from rvjax.loaded.hessian import hessian, solve
-from rvjax.loaded.newton import Found, minimise
+from rvjax.loaded.newton import Minimum, minimise
 from rvjax.loaded.system import Contacts, Layout, System, contacts, gradient
 from rvjax.records import PyTree
 
@@ -41,7 +40,7 @@ def in_lanes(kernel: Kernel, layout: Layout, shapes: Callable[[Layout, Any], PyT
         one = shapes(layout, leaves[-1].dtype)
         return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((*batch, *leaf.shape), leaf.dtype), one)
 
-    grouped = TracedLate(functools.partial(_over_groups, kernel, layout), results)
+    grouped = BatchedKernel(functools.partial(_over_groups, kernel, layout), results)
 
     def rule(size: int, batched: list[PyTree], *arguments: PyTree) -> PyTree:
         leaves, tree = jax.tree.flatten(arguments)
@@ -60,20 +59,20 @@ def in_lanes(kernel: Kernel, layout: Layout, shapes: Callable[[Layout, Any], PyT
             leaf = jnp.broadcast_to(leaf, (size, g, lanes, *rest))
             return jnp.swapaxes(leaf, 0, 1).reshape(g, size * lanes, *rest)
 
-        found = grouped(*jax.tree.unflatten(tree, [merge(leaf, flag) for leaf, flag in zip(leaves, flags)]))
+        result = grouped(*jax.tree.unflatten(tree, [merge(leaf, flag) for leaf, flag in zip(leaves, flags)]))
 
         def split(leaf: jax.Array) -> jax.Array:
             if by_group:
                 return leaf.reshape(size, groups, *leaf.shape[1:])
             return jnp.swapaxes(leaf.reshape(groups, size, lanes, *leaf.shape[2:]), 0, 1)
 
-        return jax.tree.map(split, found)
+        return jax.tree.map(split, result)
 
     grouped.rule = rule
 
     def of_one(*arguments: PyTree) -> PyTree:
-        found = grouped(*jax.tree.map(lambda leaf: leaf[None, None], arguments))
-        return jax.tree.map(lambda leaf: leaf[0, 0], found)
+        result = grouped(*jax.tree.map(lambda leaf: leaf[None, None], arguments))
+        return jax.tree.map(lambda leaf: leaf[0, 0], result)
 
     return of_one
 
@@ -87,15 +86,17 @@ def _over_groups(kernel: Kernel, layout: Layout, system: System, *arrays: jax.Ar
         flat = [leaf.reshape(groups * lanes, *leaf.shape[2:]) for leaf in flat]
         found = kernel(layout, *jax.tree.unflatten(tree, flat))
         return jax.tree.map(lambda leaf: leaf.reshape(groups, lanes, *leaf.shape[1:]), found)
-    own = [len(leaf) > 1 for leaf in leaves]
+    batched_leaves = [len(leaf) > 1 for leaf in leaves]
 
     def group(given: list[jax.Array]) -> PyTree:
         rest = iter(given)
-        return kernel(layout, *jax.tree.unflatten(tree, [next(rest) if o else x[0] for x, o in zip(leaves, own)]))
+        return kernel(
+            layout, *jax.tree.unflatten(tree, [next(rest) if o else x[0] for x, o in zip(leaves, batched_leaves)])
+        )
 
     if groups == 1:
         return jax.tree.map(lambda leaf: leaf[None], group([]))
-    return jax.lax.map(group, [leaf for leaf, is_own in zip(leaves, own) if is_own])
+    return jax.lax.map(group, [leaf for leaf, is_own in zip(leaves, batched_leaves) if is_own])
 
 
 def in_blocks(kernel: Kernel, arguments: tuple[PyTree, ...]) -> PyTree:
@@ -110,12 +111,12 @@ def in_blocks(kernel: Kernel, arguments: tuple[PyTree, ...]) -> PyTree:
 
     def block(first: jax.Array) -> PyTree:
         def part(leaf: jax.Array) -> jax.Array:
-            own = leaf if len(leaf) == 1 else jax.lax.dynamic_slice_in_dim(leaf, first, width)
-            return jnp.moveaxis(own, 0, -1)
+            part_of_leaf = leaf if len(leaf) == 1 else jax.lax.dynamic_slice_in_dim(leaf, first, width)
+            return jnp.moveaxis(part_of_leaf, 0, -1)
 
         system, *arrays = jax.tree.map(part, arguments)
-        found = kernel(system, *(jnp.broadcast_to(x, (*x.shape[:-1], width)) for x in arrays))
-        return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), found)
+        result = kernel(system, *(jnp.broadcast_to(x, (*x.shape[:-1], width)) for x in arrays))
+        return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), result)
 
     if cases == width:
         return block(jnp.zeros((), jnp.int32))
@@ -132,7 +133,7 @@ def in_blocks(kernel: Kernel, arguments: tuple[PyTree, ...]) -> PyTree:
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def balance(layout: Layout, system: System, start: jax.Array) -> Found:
+def balance(layout: Layout, system: System, start: jax.Array) -> Minimum:
     """The minimum of the energy; carries no derivative.
 
     Args:
@@ -140,13 +141,13 @@ def balance(layout: Layout, system: System, start: jax.Array) -> Found:
         system: the case.
         start: (n,), NaN: the linear step of `newton`, or inf: nothing is solved.
     """
-    return in_lanes(minimise, layout, Found.shapes)(system, start)
+    return in_lanes(minimise, layout, Minimum.shapes)(system, start)
 
 
 @balance.defjvp
-def _balance_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[Found, PyTree]:
-    found = balance(layout, *primals)
-    return found, jax.custom_derivatives.zero_from_primal(found)
+def _balance_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[Minimum, PyTree]:
+    minimum = balance(layout, *primals)
+    return minimum, jax.custom_derivatives.zero_from_primal(minimum)
 
 
 class Forces(NamedTuple):
@@ -235,7 +236,7 @@ def _compliance(layout: Layout, system: System, q: jax.Array, load: jax.Array) -
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def attach(layout: Layout, system: System, q: jax.Array) -> jax.Array:
+def with_implicit_derivative(layout: Layout, system: System, q: jax.Array) -> jax.Array:
     """q unchanged, with the derivatives of the equilibrium: dq = -H^-1 d(grad E) at fixed q. Eq. 23.
 
     Args:
@@ -246,9 +247,9 @@ def attach(layout: Layout, system: System, q: jax.Array) -> jax.Array:
     return q
 
 
-@attach.defjvp
-def _attach_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[jax.Array, jax.Array]:
+@with_implicit_derivative.defjvp
+def _with_implicit_derivative_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[jax.Array, jax.Array]:
     system, q = primals
-    q = attach(layout, system, q)
+    q = with_implicit_derivative(layout, system, q)
     _, change = jax.jvp(lambda s: residual(layout, s, q), (system,), (tangents[0],))
     return q, -compliance(layout, system, q, change)

@@ -1,4 +1,24 @@
-"""One case between the numbers that are read and the results of an equilibrium."""
+"""One case between the numbers that are read and the results of an equilibrium.
+
+An equilibrium, from the call to the result:
+
+     1  layout = check_input(design, errors, contact, ..)      on the host: counts and methods, static
+     2  jit(_equilibrium), layout static                       `quick`; a part of the user's program inside `jax.jit`
+     3      read = admit(layout, design, errors, torque, ..)   harmless numbers where given ones are impossible
+     4      case = prepare(layout, read, angle).loaded(torque) geometry, gaps, springs: a `System`
+     5      found = balance(layout, case.system, start)        without derivatives, in a `BatchedKernel`: a primitive
+     6          for each block of waiting cases:               that is traced when the program is lowered, and whose
+     7              while a case is open:                      batch axis joins all levels of `jax.vmap`
+     8                  contacts, gradient and Hessian at q, Newton's step from there
+     9                  rows = decided(rows, merit), q = onward(..)        full step, or a point of a line
+    10      q = at_output(layout, case, found, status)         dq = -H^-1 d(grad E): its `custom_jvp`, two kernels more
+    11      pins, joints, bearings = forces(layout, case.system, q)        a `BatchedKernel`, too
+    12      return Loaded(..), NaN where the status is none of success
+
+The state of line 7 has the cases of a block last (l). A row of `q` (n, l) is an unknown: three for each disc, then
+those of the border, see `system`. A row of `rows` is a field of `line_search.Element`: numbers (energy, bracket,
+residual) in one array, counts and marks in the other.
+"""
 
 import math
 from typing import NamedTuple
@@ -6,9 +26,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax.loaded.balance import attach, balance, forces
+from rvjax.loaded.balance import balance, forces, with_implicit_derivative
 from rvjax.loaded.inputs import Read
-from rvjax.loaded.newton import Found
+from rvjax.loaded.newton import Minimum
 from rvjax.loaded.system import Layout, System
 from rvjax.status import SolveInfo, Status, succeeded
 
@@ -53,7 +73,7 @@ class Case(NamedTuple):
         return case._replace(system=s._replace(bearings=bearings, centring=limited(s.centring, CARRIED)))
 
 
-class Named(NamedTuple):
+class NamedForces(NamedTuple):
     """Forces by their names in the results, N, and the torque on the input; None where a kind has none."""
 
     disc_bearing: jax.Array  # (d, c, 2) crank on disc
@@ -65,7 +85,7 @@ class Named(NamedTuple):
     output_bearing: jax.Array | None = None  # (2,) all discs on the carrier
 
 
-def solve(layout: Layout, read: Read, case: Case, start: jax.Array) -> tuple[Found, SolveInfo]:
+def solve(layout: Layout, read: Read, case: Case, start: jax.Array) -> tuple[Minimum, SolveInfo]:
     """Minimum of the energy of a case, without derivatives, and its status; input that failed a check costs no step.
 
     Args:
@@ -74,41 +94,41 @@ def solve(layout: Layout, read: Read, case: Case, start: jax.Array) -> tuple[Fou
         case: the case.
         start: (n,), or NaN: the linear step.
     """
-    found = balance(layout, case.system, jnp.where(read.gate.good, start, jnp.inf))
-    return found, _status(layout, read, case, found)
+    minimum = balance(layout, case.system, jnp.where(read.gate.good, start, jnp.inf))
+    return minimum, _status(layout, read, case, minimum)
 
 
-def _status(layout: Layout, read: Read, case: Case, found: Found) -> SolveInfo:
+def _status(layout: Layout, read: Read, case: Case, minimum: Minimum) -> SolveInfo:
     """Status, steps and residual of the solve of a case.
 
     A torque so small that the centring springs carry it inside the clearances loads no contact. The forces are
     undetermined where the rounding of the gaps, times the stiffest spring, is not small compared with all forces.
     """
-    faint = math.sqrt(float(jnp.finfo(found.residual.dtype).eps))
-    idle = (case.system.load == 0) & (found.largest <= case.system.centring * read.design.cycloid.pin_radius)
-    idle |= (found.largest <= faint * jnp.abs(case.system.load)) | (found.residual > faint)
-    overload = found.overload & ~found.converged
+    faint = math.sqrt(float(jnp.finfo(minimum.residual.dtype).eps))
+    idle = (case.system.load == 0) & (minimum.largest <= case.system.centring * read.design.cycloid.pin_radius)
+    idle |= (minimum.largest <= faint * jnp.abs(case.system.load)) | (minimum.residual > faint)
+    overload = minimum.overload & ~minimum.converged
     if any(group.discs for group in layout.joints):  # output pins press where the springs hold the discs, off the ring
-        at = forces(layout, case.system, found.q)
+        at = forces(layout, case.system, minimum.q)
         idle |= jnp.max(at.pins) <= faint * jnp.abs(case.system.load)
         if case.most is not None:
             overload |= jnp.any(at.joints > case.most)
-    ended = SolveInfo(jnp.where(idle, jnp.int32(int(Status.UNLOADED)), 0), found.steps, found.residual)
+    ended = SolveInfo(jnp.where(idle, jnp.int32(int(Status.UNLOADED)), 0), minimum.steps, minimum.residual)
     return read.gate.close(
         (),
-        (~found.finite, Status.NONFINITE),
+        (~minimum.finite, Status.NONFINITE),
         (overload, Status.CONTACT_OVERLOAD),
-        (~found.converged, Status.MAX_STEPS),
+        (~minimum.converged, Status.MAX_STEPS),
         info=ended,
     )[1]
 
 
-def placed(layout: Layout, case: Case, found: Found, status: jax.Array) -> jax.Array:
+def at_output(layout: Layout, case: Case, minimum: Minimum, status: jax.Array) -> jax.Array:
     """Displacements (n,) with the derivatives of the equilibrium; zero where it failed."""
-    return attach(layout, case.system, jnp.where(succeeded(status), found.q, 0))
+    return with_implicit_derivative(layout, case.system, jnp.where(succeeded(status), minimum.q, 0))
 
 
-def turned(layout: Layout, case: Case, q: jax.Array) -> jax.Array:
+def output_rotation(layout: Layout, case: Case, q: jax.Array) -> jax.Array:
     """Rotation of the output against the ideal motion, () rad."""
     return q[layout.carried] / case.length
 

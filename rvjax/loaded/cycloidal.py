@@ -20,7 +20,7 @@ from rvjax.designs import Contact
 from rvjax.geometry import material as of_contact, squared_pressure
 from rvjax.loaded import laws
 from rvjax.loaded.balance import Forces
-from rvjax.loaded.case import Case, Named, under
+from rvjax.loaded.case import Case, NamedForces, under
 from rvjax.loaded.cycloidal_gaps import Drive, Unknowns, drive_at, drive_gaps, drive_rows, gaps_of_turn
 from rvjax.loaded.geometry import flank_rounding
 from rvjax.loaded.inputs import Read, admitted, check_shapes, unchecked
@@ -283,7 +283,7 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
     )
 
 
-def named(layout: Layout, read: Read, case: Case, forces: Forces) -> Named:
+def named_forces(layout: Layout, read: Read, case: Case, forces: Forces) -> NamedForces:
     """Forces of shaft, output pins and carrier.
 
     Args:
@@ -297,7 +297,7 @@ def named(layout: Layout, read: Read, case: Case, forces: Forces) -> Named:
     disc_bearing = -forces.bearings[: layout.discs, None]
     holes = forces.joints.reshape(layout.discs, -1)
     along = jnp.sum(holes, axis=1)
-    return Named(
+    return NamedForces(
         disc_bearing=disc_bearing,
         support_bearing=-jnp.sum(disc_bearing, axis=0),
         gear=None,

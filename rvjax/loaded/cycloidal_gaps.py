@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.varying import fori_loop
+from rvjax._jax.kernels import fori_loop
 from rvjax._reducer.flank import Ground
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.loaded.geometry import Geometry, Turn, geometry, highest, pin_depths
@@ -201,8 +201,8 @@ def gaps_of_turn(
     def at(j: jax.Array) -> tuple[jax.Array, jax.Array]:
         return largest_gap(*lines(whole, used, step * j))
 
-    found, left = jax.lax.map(at, jnp.arange(samples, dtype=k1.dtype))  # an angle of a batch stays in the cache
-    return gate.close((jnp.min(found), found), (sharp, Status.UNDERCUT), info=converged(jnp.max(left), STEPS))
+    least, left = jax.lax.map(at, jnp.arange(samples, dtype=k1.dtype))  # an angle of a batch stays in the cache
+    return gate.close((jnp.min(least), least), (sharp, Status.UNDERCUT), info=converged(jnp.max(left), STEPS))
 
 
 def lines(design: CycloidalReducer, errors: CycloidalErrors, input_angle: jax.Array) -> tuple[Lines, Lines]:
@@ -244,8 +244,8 @@ def largest_gap(pins: Lines, holes: Lines) -> tuple[jax.Array, jax.Array]:
         return jnp.where(room < 0, jnp.minimum(root, s), s)
 
     s = fori_loop(0, STEPS, lower, start)
-    found = jnp.where(s < start, _carrier(pins, holes, s)[1], most)
-    return found, jax.lax.stop_gradient(found) - _least(*still, s)
+    crossing = jnp.where(s < start, _carrier(pins, holes, s)[1], most)
+    return crossing, jax.lax.stop_gradient(crossing) - _least(*still, s)
 
 
 def _ends(of: Lines, s: jax.Array) -> tuple[jax.Array, jax.Array]:

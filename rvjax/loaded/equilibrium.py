@@ -6,29 +6,27 @@ bearings.
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.compile_cache import ONCE, inside, quick
-from rvjax._jax.varying import scan
+from rvjax._jax.kernels import scan
+from rvjax._jax.programs import ONCE, quick
 from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.loaded.balance import compliance, forces
-from rvjax.loaded.case import Case, placed, pressures, solve, turned
+from rvjax.loaded.case import Case, at_output, output_rotation, pressures, solve
 from rvjax.loaded.inputs import Read
-from rvjax.loaded.kinds import admit, check_input, named, prepare
-from rvjax.loaded.newton import DIRECT, Found
+from rvjax.loaded.kinds import admit, check_input, named_forces, prepare
+from rvjax.loaded.newton import Minimum
 from rvjax.loaded.system import Layout
 from rvjax.records import Array, PyTree, Record, Scalar, field, record
 from rvjax.roots import solved
 from rvjax.status import SolveInfo, Status, succeeded
-
-R = TypeVar("R")
 
 
 @record
@@ -97,36 +95,15 @@ def equilibrium(
             or an array whose shape does not fit the design.
     """
     layout = check_input(design, errors, contact, carrier, sun)
-    return newton_first(_equilibrium, layout, design, errors, input_angle, output_torque)
-
-
-_LEFT = Status.MAX_STEPS, Status.CONTACT_OVERLOAD  # of a case that Newton's method leaves
-
-
-def newton_first(solve: Callable[..., R], layout: Layout, *given: PyTree) -> R:
-    """Return solve(layout, *given); outside any program without the interior point method where none needs it.
-
-    Few cases do, and it is a third of the compilation.
-
-    Args:
-        solve: to a result with `info`.
-        layout: counts and methods.
-        given: numbers of one case.
-    """
-    if not inside(given):
-        found = solve(layout._replace(interior=False), *given)
-        info: SolveInfo = found.info  # type: ignore[attr-defined]
-        if int(info.status) not in _LEFT or int(info.steps) < DIRECT:
-            return found
-    return solve(layout, *given)
+    return _equilibrium(layout, design, errors, input_angle, output_torque)
 
 
 @quick(0, options=ONCE)
 def _equilibrium(layout: Layout, design: PyTree, errors: PyTree, input_angle: Scalar, output_torque: Scalar) -> Loaded:
     read = admit(layout, design, errors, output_torque, input_angle)
     case = prepare(layout, read, read.angle).loaded(read.torque)
-    found, info = solve(layout, read, case, jnp.full((layout.unknowns,), jnp.nan, read.torque.dtype))
-    return outcome(layout, read, case, found, info)
+    minimum, info = solve(layout, read, case, jnp.full((layout.unknowns,), jnp.nan, read.torque.dtype))
+    return outcome(layout, read, case, minimum, info)
 
 
 def error_alone(
@@ -143,21 +120,21 @@ def error_alone(
     """
     read = admit(layout, design, errors, output_torque, input_angle)
     case = prepare(layout, read, read.angle).loaded(read.torque)
-    found, info = solve(layout, read, case, jnp.full((layout.unknowns,), jnp.nan, read.torque.dtype))
-    error = turned(layout, case, placed(layout, case, found, info.status))
+    minimum, info = solve(layout, read, case, jnp.full((layout.unknowns,), jnp.nan, read.torque.dtype))
+    error = output_rotation(layout, case, at_output(layout, case, minimum, info.status))
     return jnp.where(succeeded(info.status), error, jnp.nan)
 
 
-def outcome(layout: Layout, read: Read, case: Case, found: Found, info: SolveInfo) -> Loaded:
+def outcome(layout: Layout, read: Read, case: Case, minimum: Minimum, info: SolveInfo) -> Loaded:
     """Everything that follows from the displacements."""
-    q = placed(layout, case, found, info.status)
+    q = at_output(layout, case, minimum, info.status)
     at = forces(layout, case.system, q)
     unit = jnp.asarray(np.eye(layout.unknowns)[layout.carried], q.dtype)
     values = Loaded(
-        error=turned(layout, case, q),
+        error=output_rotation(layout, case, q),
         pins=at.pins,
         pressure=pressures(case, at.pins),
-        **named(layout, read, case, at)._asdict(),
+        **named_forces(layout, read, case, at)._asdict(),
         disc_torque=-jnp.sum(case.lever * at.pins, axis=1),
         stiffness=jnp.square(case.length) / compliance(layout, case.system, q, unit)[layout.carried],
         info=None,  # type: ignore[arg-type]
@@ -205,29 +182,29 @@ def equilibria(
         near: start from the angle before, because the crank angle differs little; or (n,) whether each does.
     """
     none = jnp.full((torques.shape[-1], layout.unknowns), jnp.nan, torques.dtype)
-    own = None if torques.ndim == 1 else torques
+    rows = None if torques.ndim == 1 else torques
     some = None if isinstance(near, bool) else jnp.asarray(near)
 
-    def onward(last: jax.Array, at: _Row) -> tuple[jax.Array, tuple[Found, SolveInfo]]:
-        angle, given, own, follows = at
-        of_torques = jax.lax.stop_gradient(torques if own is None else own)
+    def onward(last: jax.Array, at: _Row) -> tuple[jax.Array, tuple[Minimum, SolveInfo]]:
+        angle, given, rows, follows = at
+        of_torques = jax.lax.stop_gradient(torques if rows is None else rows)
         last = last if follows is None else jnp.where(follows, last, none)
         case = jax.lax.stop_gradient(prepare(layout, read, angle))
 
-        def under(torque: jax.Array, start: jax.Array) -> tuple[Found, SolveInfo]:
+        def under(torque: jax.Array, start: jax.Array) -> tuple[Minimum, SolveInfo]:
             return solve(layout, read, case.loaded(torque), start)
 
         begin = last if given is None else jnp.where(jnp.isfinite(given), given, last)
-        found, info = jax.vmap(under)(of_torques, begin)
-        here = jnp.where(succeeded(info.status)[:, None], found.q, jnp.nan) if near is not False else none
-        return here, (found, info)
+        minima, info = jax.vmap(under)(of_torques, begin)
+        here = jnp.where(succeeded(info.status)[:, None], minima.q, jnp.nan) if near is not False else none
+        return here, (minima, info)
 
-    found, info = solved(scan(onward, none, (input_angles, start, own, some))[1])
+    minima, info = solved(scan(onward, none, (input_angles, start, rows, some))[1])
     measure = jax.checkpoint(partial(_measure, layout, take))
     taken = jax.lax.map(
-        lambda x: measure(read, torques if x[0] is None else x[0], *x[1:]), (own, input_angles, found, info.status)
+        lambda x: measure(read, torques if x[0] is None else x[0], *x[1:]), (rows, input_angles, minima, info.status)
     )
-    q = jnp.where(succeeded(info.status)[..., None], found.q, jnp.nan)
+    q = jnp.where(succeeded(info.status)[..., None], minima.q, jnp.nan)
     return Equilibria(taken, info, jax.lax.stop_gradient(q))
 
 
@@ -237,17 +214,17 @@ def _measure(
     read: Read,
     torques: jax.Array,
     angle: jax.Array,
-    found: Found,
+    minimum: Minimum,
     status: jax.Array,
 ) -> PyTree:
     """Results at one angle under every torque, with their derivatives."""
     case = prepare(layout, read, angle)
 
-    def of_one(torque: jax.Array, found: Found, status: jax.Array) -> PyTree:
+    def of_one(torque: jax.Array, minimum: Minimum, status: jax.Array) -> PyTree:
         loaded = case.loaded(torque)
-        return take(loaded, placed(layout, loaded, found, status), status == Status.CONVERGED)
+        return take(loaded, at_output(layout, loaded, minimum, status), status == Status.CONVERGED)
 
-    return jax.vmap(of_one)(torques, found, status)
+    return jax.vmap(of_one)(torques, minimum, status)
 
 
 class BearingForces(NamedTuple):
@@ -283,10 +260,10 @@ def bearing_forces(
     """
 
     def take(case: Case, q: jax.Array, carries: jax.Array) -> tuple[jax.Array, jax.Array]:
-        of_names = named(layout, read, case, forces(layout, case.system, q))
+        of_names = named_forces(layout, read, case, forces(layout, case.system, q))
         both = of_names.disc_bearing, of_names.support_bearing
         return jax.tree.map(lambda force: jnp.where(carries, force, 0), both)
 
-    found = equilibria(layout, read, torques, input_angles, take, start, near=near)
-    arm, support = found.taken
-    return BearingForces(arm, support, found.info, found.displacements)
+    solution = equilibria(layout, read, torques, input_angles, take, start, near=near)
+    arm, support = solution.taken
+    return BearingForces(arm, support, solution.info, solution.displacements)

@@ -218,8 +218,8 @@ def flanks(
         there = geometry(cycloid, cycloid.eccentricity + used.eccentricity, step * j / design.ratio)
         return highest(-pin_depths(cycloid, used, there).ravel(), there.lever.ravel())
 
-    found, left = jax.lax.map(at, jnp.arange(samples, dtype=k1.dtype))  # an angle of a batch stays in the cache
-    return gate.close((jnp.min(found), found), (sharp, Status.UNDERCUT), info=converged(jnp.max(left), STEPS))
+    least, left = jax.lax.map(at, jnp.arange(samples, dtype=k1.dtype))  # an angle of a batch stays in the cache
+    return gate.close((jnp.min(least), least), (sharp, Status.UNDERCUT), info=converged(jnp.max(left), STEPS))
 
 
 def highest(gap: Scalar, lever: Scalar) -> tuple[jax.Array, jax.Array]:

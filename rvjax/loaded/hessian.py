@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.batching import folded, stored
+from rvjax._jax.kernels import folded, stored
 from rvjax.loaded.system import Contacts, Group, Layout, System, over_pins
 
 
@@ -68,11 +68,11 @@ def solve(layout: Layout, hessian: Hessian, rhs: jax.Array) -> jax.Array:
     return jnp.concatenate([of_discs(_rows(hessian.disc), inverse, forward, border), border])
 
 
-def _eliminated(layout: Layout, matrix: jax.Array, own: list[jax.Array]) -> jax.Array:
-    """Unknowns of the border from their system (m, m + 1, l), body by body; `own`: its diagonal with the discs held."""
+def _eliminated(layout: Layout, matrix: jax.Array, diagonal: list[jax.Array]) -> jax.Array:
+    """Unknowns of the border from their system (m, m + 1, l), body by body; `diagonal`: the one with the discs held."""
     steps = []
     for size in (*[3] * layout.links, *layout.common):
-        inverse = _inverse(_corner(matrix, size), own[-len(matrix) :])
+        inverse = _inverse(_corner(matrix, size), diagonal[-len(matrix) :])
         forward, rest = stored(functools.partial(_reduced, size), matrix, inverse)
         steps.append((matrix, inverse, forward))
         matrix = rest
@@ -91,12 +91,12 @@ def _reduced(size: int, matrix: jax.Array, inverse: list[jax.Array]) -> tuple[ja
     return forward, rest
 
 
-def _resolved(matrix: jax.Array, inverse: list[jax.Array], forward: jax.Array, found: jax.Array) -> jax.Array:
+def _resolved(matrix: jax.Array, inverse: list[jax.Array], forward: jax.Array, solution: jax.Array) -> jax.Array:
     """The unknowns of the first block before those that are found."""
     left = forward[:, -1]
-    if len(found):
-        left = left - folded(forward[:, :-1] * found[None], 1)
-    return jnp.concatenate([_backward(_corner(matrix, len(inverse)), inverse, left), found])
+    if len(solution):
+        left = left - folded(forward[:, :-1] * solution[None], 1)
+    return jnp.concatenate([_backward(_corner(matrix, len(inverse)), inverse, left), solution])
 
 
 def _corner(matrix: jax.Array, size: int) -> _Block:
@@ -122,17 +122,17 @@ def _factor(block: _Block, inverse: list[jax.Array]) -> tuple[_Block, list[jax.A
     return lower, pivots
 
 
-def _inverse(block: _Block, own: list[jax.Array]) -> list[jax.Array]:
+def _inverse(block: _Block, diagonal: list[jax.Array]) -> list[jax.Array]:
     """1 / D of L D L'; a pivot lost to rounding is raised to it. L is computed from it wherever it is used.
 
     Args:
         block: to be factored.
-        own: its diagonal before any body was eliminated, of which all that is left may be rounding.
+        diagonal: its diagonal before any body was eliminated, of which all that is left may be rounding.
     """
     least = 8 * float(jnp.finfo(block[0][0].dtype).eps)
     inverse: list[jax.Array] = []
     for a in range(len(block)):
-        inverse.append(1 / jnp.maximum(_factor(block, inverse)[1][a], least * own[a]))
+        inverse.append(1 / jnp.maximum(_factor(block, inverse)[1][a], least * diagonal[a]))
     return inverse
 
 
@@ -223,16 +223,16 @@ def hessian(layout: Layout, s: System, at: Contacts, at_rest: Frame | None = Non
         at_rest: `frame(layout, s)`, where it is known.
     """
     rows = frame(layout, s) if at_rest is None else at_rest
-    found = defaultdict[str, list[jax.Array]](list)
+    blocks = defaultdict[str, list[jax.Array]](list)
     for touch, stiff in _groups(layout, at, rows):
         for name, block in _blocks(touch, stiff):
-            found[name].append(block)
+            blocks[name].append(block)
     centring = _DIAGONAL.astype(s.centring.dtype)[:, None, None] * s.centring[None, None]
-    near = [_sum(found[name]) for name in ("disc link", "disc common") if name in found]
+    near = [_sum(blocks[name]) for name in ("disc link", "disc common") if name in blocks]
     return Hessian(
-        disc=over_pins(rows.pins, at.pins.slope) + _sum(found["disc"]) + centring,
+        disc=over_pins(rows.pins, at.pins.slope) + _sum(blocks["disc"]) + centring,
         bridge=near[0] if len(near) == 1 else jnp.concatenate(near, axis=2),
-        border=_border(layout, s, found),
+        border=_border(layout, s, blocks),
     )
 
 
@@ -276,21 +276,21 @@ def _blocks(touch: Touch, stiff: _Stiff) -> Iterator[tuple[str, jax.Array]]:
         yield "common", _outer(touch.common, of_common)
 
 
-def _border(layout: Layout, s: System, found: Mapping[str, list[jax.Array]]) -> jax.Array:
+def _border(layout: Layout, s: System, blocks: Mapping[str, list[jax.Array]]) -> jax.Array:
     """Block of links and common bodies (m, m, l)."""
     links, size = layout.links, sum(layout.common)
     alike: dict[tuple[int, ...], jax.Array] = {}
-    for block in found["common"]:  # groups of as many places in one reduction
+    for block in blocks["common"]:  # groups of as many places in one reduction
         alike[block.shape] = alike[block.shape] + block if block.shape in alike else block
     common = _sum([folded(block, 2, 3) for block in alike.values()])
     support = s.support[layout.carried :] + s.centring[None]
     common = common + np.eye(size, dtype=common.dtype)[:, :, None] * support[:, None]
     if not links:
         return common
-    link = _sum(found["link"]) + np.eye(3, dtype=common.dtype)[:, :, None, None] * s.centring[None, None, None]
+    link = _sum(blocks["link"]) + np.eye(3, dtype=common.dtype)[:, :, None, None] * s.centring[None, None, None]
     apart = np.eye(links, dtype=common.dtype)[:, None, :, None, None]  # links do not touch each other
     square = (apart * link.transpose(2, 0, 1, 3)[:, :, None]).reshape(3 * links, 3 * links, -1)
-    bridge = jnp.moveaxis(_sum(found["link common"]), 2, 0).reshape(3 * links, size, -1)
+    bridge = jnp.moveaxis(_sum(blocks["link common"]), 2, 0).reshape(3 * links, size, -1)
     above = jnp.concatenate([square, bridge], axis=1)
     return jnp.concatenate([above, jnp.concatenate([bridge.swapaxes(0, 1), common], axis=1)])
 

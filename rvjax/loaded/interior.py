@@ -117,8 +117,8 @@ def approach(layout: Layout, s: System, wanted: jax.Array) -> tuple[jax.Array, j
 
     zero = jnp.zeros((lanes,), s.pins.gap.dtype)
     loop = _Loop(_begin(layout, s, lanes), zero, zero, jnp.zeros((lanes,), jnp.int32), wanted)
-    found = jax.lax.while_loop(lambda loop: jnp.any(loop.open), body, loop)
-    return found.at.q, found.steps
+    end = jax.lax.while_loop(lambda loop: jnp.any(loop.open), body, loop)
+    return end.at.q, end.steps
 
 
 def _begin(layout: Layout, s: System, lanes: int) -> _Point:

@@ -9,7 +9,7 @@ from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import RVReducer, expect
 from rvjax.loaded import cycloidal, laws, rv
 from rvjax.loaded.balance import Forces
-from rvjax.loaded.case import Case, Named
+from rvjax.loaded.case import Case, NamedForces
 from rvjax.loaded.inputs import SUPPORTS, Read, check_shapes, check_teeth
 from rvjax.loaded.system import Layout
 from rvjax.records import PyTree, Scalar
@@ -28,7 +28,7 @@ class LoadedKind(Protocol):
     def prepare(self, layout: Layout, read: Read, input_angle: jax.Array) -> Case:
         """Geometry, springs and gaps of one input angle; `load` is that of 1 N m."""
 
-    def named(self, layout: Layout, read: Read, case: Case, forces: Forces) -> Named:
+    def named_forces(self, layout: Layout, read: Read, case: Case, forces: Forces) -> NamedForces:
         """The forces by their names in the results."""
 
     def fit(
@@ -114,7 +114,7 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
     return kind_of(read.design).prepare(layout, read, input_angle)
 
 
-def named(layout: Layout, read: Read, case: Case, forces: Forces) -> Named:
+def named_forces(layout: Layout, read: Read, case: Case, forces: Forces) -> NamedForces:
     """The forces by their names in the results.
 
     Args:
@@ -123,4 +123,4 @@ def named(layout: Layout, read: Read, case: Case, forces: Forces) -> Named:
         case: of the angle.
         forces: of all contacts.
     """
-    return kind_of(read.design).named(layout, read, case, forces)
+    return kind_of(read.design).named_forces(layout, read, case, forces)

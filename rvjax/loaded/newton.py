@@ -17,11 +17,12 @@ import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 
-from rvjax._jax.batching import folded, stored
-from rvjax._jax.blocks import EQUILIBRIA
+from rvjax._jax.kernels import folded, stored
+from rvjax._jax.sizes import EQUILIBRIA
 from rvjax.loaded import laws
 from rvjax.loaded.hessian import Frame, frame, hessian, solve
 from rvjax.loaded.interior import approach
+from rvjax.loaded.line_search import Merit, Rows, State, begun, decided, onward
 from rvjax.loaded.system import (
     Contacts,
     Held,
@@ -38,7 +39,6 @@ from rvjax.loaded.system import (
     pressed_pins,
     typical_joint_slopes,
 )
-from rvjax.loaded.watchdog import Merit, State, begun, decided, onward, unpacked
 from rvjax.records import PyTree
 
 MAX_STEPS = 300
@@ -47,7 +47,7 @@ _WIDE = 1024  # places; a wider block is left by its last cases
 _LAST = 16  # one of so many places is open then
 
 
-class Found(NamedTuple):
+class Minimum(NamedTuple):
     """Result of the iteration; in this module with the batch axis last."""
 
     q: jax.Array  # (n, l)
@@ -72,7 +72,7 @@ class _Tour(NamedTuple):
     number: jax.Array  # of the round
     queued: jax.Array  # (cases,) to be solved in it
     start: jax.Array  # (cases or 1, n)
-    found: Found  # cases first
+    found: Minimum  # cases first
 
 
 class _Block(NamedTuple):
@@ -81,10 +81,10 @@ class _Block(NamedTuple):
     turn: jax.Array  # (width,) number in the queue of the case at each place
     state: State
     next: jax.Array  # number in the queue of the first case without a place so far
-    found: Found  # cases first
+    found: Minimum  # cases first
 
 
-def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
+def minimise(layout: Layout, system: System, start: jax.Array) -> Minimum:
     """The minimum of the energy of every case; leaves of the result have the cases first.
 
     Args:
@@ -102,7 +102,7 @@ def minimise(layout: Layout, system: System, start: jax.Array) -> Found:
 
     dtype = start.dtype
     zero, no, none = jnp.zeros((cases,), dtype), jnp.zeros((cases,), bool), jnp.zeros((cases,), jnp.int32)
-    nothing = Found(jnp.zeros((cases, layout.unknowns), dtype), none, zero, zero, no, no, no)
+    nothing = Minimum(jnp.zeros((cases, layout.unknowns), dtype), none, zero, zero, no, no, no)
     solved = jnp.broadcast_to(~jnp.any(jnp.isinf(start), axis=1), (cases,))
     tour = _Tour(jnp.int32(0), solved, start, nothing)
     if width > _WIDE:
@@ -145,15 +145,15 @@ def _round(layout: Layout, system: System, tour: _Tour, width: int, last: int = 
         return index, part, _begin(part, begin, taken, steps)
 
     def unfinished(block: _Block) -> jax.Array:
-        return (jnp.sum(block.state.open) > last) | (block.next < many)
+        return (jnp.sum(block.state.phase.open) > last) | (block.next < many)
 
     def refill(block: _Block) -> _Block:
         """Give the places of ended cases to the next of the queue, and go on until there are places to give again."""
-        free = ~block.state.open
+        free = ~block.state.phase.open
         turn = jnp.where(free, block.next + jnp.cumsum(free, dtype=jnp.int32) - 1, block.turn)
         following = block.next + jnp.sum(free, dtype=jnp.int32)
         index, part, fresh = seated(turn, free)
-        state = jax.tree.map(lambda new, old: jnp.where(free[None], new, old), fresh, block.state)
+        state = jax.tree.map(lambda new, old: jnp.where(free, new, old), fresh, block.state)
         # A refill waits for a quarter of the places; without a queue all cases but the last run to their end.
         leave = jnp.where(following < many, 3 * width // 4, last).astype(jnp.int32)
         state = _iterate(layout, part, state, leave, again)
@@ -169,7 +169,7 @@ def _round(layout: Layout, system: System, tour: _Tour, width: int, last: int = 
     block = jax.lax.while_loop(unfinished, refill, _Block(turn, empty, jnp.int32(0), tour.found))
     found, state = block.found, block.state
     if last:
-        index = jnp.where(state.open, queue[block.turn], cases)
+        index = jnp.where(state.phase.open, queue[block.turn], cases)
         best = jnp.broadcast_to(tour.start, found.q.shape).at[index].set(state.best.T, mode="drop")
         return _Tour(tour.number, jnp.zeros_like(tour.queued).at[index].set(True, mode="drop"), best, found)
     lost = ~found.converged & found.finite & (found.steps >= DIRECT)
@@ -182,9 +182,9 @@ def _begin(s: System, start: jax.Array, seated: jax.Array, steps: jax.Array) -> 
     return begun(jnp.where(warm[None], start, 0), seated, ~warm & (s.load != 0), steps)
 
 
-def _found(state: State) -> Found:
-    _, _, reached, counts, _, end = unpacked(state.numbers, state.integers)
-    return Found(state.q, counts.steps, *reached, *end)
+def _found(state: State) -> Minimum:
+    element = state.rows.element
+    return Minimum(state.q, element.counts.steps, *element.reached, *element.end)
 
 
 class _Shared(NamedTuple):
@@ -223,7 +223,7 @@ def _iterate(layout: Layout, s: System, state: State, leave: jax.Array, again: j
     limit, of = jnp.where(again, MAX_STEPS, DIRECT), _shared(layout, s, again)
 
     def body(state: State) -> State:
-        q, cold = state.q, state.cold
+        q, cold = state.q, state.phase.cold
         pins = stored(functools.partial(_pressed, of), q, cold)
         joints, bearings = stored(functools.partial(_jointed, of), q, cold)
         at = Contacts(pins, joints, bearings)
@@ -231,11 +231,11 @@ def _iterate(layout: Layout, s: System, state: State, leave: jax.Array, again: j
         square = stored(lambda at, at_rest: hessian(layout, s, at, at_rest), at, of.at_rest)
         newton = stored(lambda square, g: -solve(layout, square, g), square, g)
         merit = stored(functools.partial(_merit, of), q, state.step, cold, at, g, newton)
-        numbers, integers = stored(decided, state.numbers, state.integers, merit, limit)
-        q, best, step = stored(onward, state, newton, numbers, integers)
-        return State(q, best, step, numbers, integers)
+        rows = stored(lambda rows, at, limit: Rows.of(decided(rows.element, at, limit)), state.rows, merit, limit)
+        q, best, step = stored(lambda state, newton, rows: onward(state, newton, rows.element), state, newton, rows)
+        return State(q, best, step, rows)
 
-    return jax.lax.while_loop(lambda state: jnp.sum(state.open, dtype=leave.dtype) > leave, body, state)
+    return jax.lax.while_loop(lambda state: jnp.sum(state.phase.open, dtype=leave.dtype) > leave, body, state)
 
 
 def _pressed(of: _Shared, q: jax.Array, cold: jax.Array) -> Pressed:

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.compile_cache import QUICK, quick
+from rvjax._jax.programs import QUICK, quick
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.loaded.encoder import Reading, reading
@@ -125,8 +125,8 @@ def effects_of_a_head(
     waves = 2 / samples * np.fft.rfft(curves)[..., 1:]  # (torques, 6, orders)
     largest = np.abs(waves[0]).reshape(3, -1).max(axis=1)
     waves = waves[1:] / np.repeat(np.where(largest > 0, largest, 1.0), 2)[:, None]
-    found = np.moveaxis(waves[..., np.array(orders) - 1], -1, 1)
-    return np.stack([found.real, found.imag], axis=-1)
+    effects = np.moveaxis(waves[..., np.array(orders) - 1], -1, 1)
+    return np.stack([effects.real, effects.imag], axis=-1)
 
 
 @quick(3, 4, 5)
@@ -142,11 +142,11 @@ def _effects(design: RVReducer, angle: jax.Array, torque: float, contact: str, c
     ]
 
     def at(x: jax.Array) -> jax.Array:
-        found = equilibrium(
+        solution = equilibrium(
             design, RVErrors(), input_angle=x, output_torque=torque, contact=contact, carrier=carrier, sun=sun
         )
-        seen = [reading(found, design, head, input_angle=x, output_torque=torque) for head in heads]
-        return jnp.stack([value - found.error for value in seen])
+        seen = [reading(solution, design, head, input_angle=x, output_torque=torque) for head in heads]
+        return jnp.stack([value - solution.error for value in seen])
 
     return jax.vmap(at, out_axes=1)(angle)
 
@@ -182,9 +182,9 @@ def _errors_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[jax.
     changes = jax.tree.leaves(tangents[:2], is_leaf=still)
     moving = [i for i, change in enumerate(changes) if not still(change)]
 
-    def one(own: list[jax.Array], torque: Scalar, angle: Scalar) -> Array:
+    def one(moved: list[jax.Array], torque: Scalar, angle: Scalar) -> Array:
         whole = list(leaves)
-        for i, leaf in zip(moving, own):
+        for i, leaf in zip(moving, moved):
             whole[i] = leaf
         design, errors = jax.tree.unflatten(tree, whole)
         return _error(layout, design, errors, torque, angle)
@@ -248,14 +248,14 @@ def _spectrum(
     step = design.cycloid.pin_count if alike else 1
     count, (number, parts) = _count(design, given, orders, alike), part
     stiff, torques = errors.stiffened(design), jnp.asarray(torques)
-    own = jnp.asarray(np.arange(0, count, parts), torques.dtype) + jnp.asarray(number, torques.dtype)
-    angles = 2 * jnp.pi * design.ratio / step / count * own
+    numbers = jnp.asarray(np.arange(0, count, parts), torques.dtype) + jnp.asarray(number, torques.dtype)
+    angles = 2 * jnp.pi * design.ratio / step / count * numbers
     error = _errors(check_input(stiff, errors, **ways(given)), stiff, errors, torques, angles)
     turned = np.outer(np.arange(count), [k // step for k in orders]) * 2 * np.pi / count
     every = np.where([k % step == 0 for k in orders], 2 * parts / count * np.exp(-1j * turned), 0)
     waves = jnp.asarray(every.reshape(-1, parts, len(orders)))[:, number]
-    found = [jnp.matmul(error, w.astype(error.dtype), precision="highest") for w in (waves.real, waves.imag)]
-    return jnp.mean(error, axis=1), jax.lax.complex(*found)
+    real_imaginary = [jnp.matmul(error, w.astype(error.dtype), precision="highest") for w in (waves.real, waves.imag)]
+    return jnp.mean(error, axis=1), jax.lax.complex(*real_imaginary)
 
 
 def _angle(design: PyTree, errors: PyTree, given: LoadedConditions, torques: Array) -> Array:

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.compile_cache import QUICK
+from rvjax._jax.programs import QUICK
 from rvjax.catalogue import part_class
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import RVReducer
@@ -49,15 +49,15 @@ Refuse = Callable[[RVReducer, LoadedConditions], None]
 def _bench(shares: tuple[float, ...]) -> Callable[[RVReducer, RVErrors, LoadedConditions], tuple[jax.Array, SolveInfo]]:
     """Rotations (angles, shares, 2) at the input angles of the bench, and the worst info."""
 
-    def twist(design: RVReducer, errors: RVErrors, given: LoadedConditions) -> tuple[jax.Array, SolveInfo]:
+    def twist(design: RVReducer, errors: RVErrors, conditions: LoadedConditions) -> tuple[jax.Array, SolveInfo]:
         """At the shares of the rated torque that this bench takes."""
         design = errors.stiffened(design)
-        layout = check_input(design, errors, *ways(given).values())
-        span = 2 * np.pi * design.ratio * turns_of(design, given)
-        angles = given.input_angle + span * np.arange(given.probe_angles) / given.probe_angles
+        layout = check_input(design, errors, *ways(conditions).values())
+        span = 2 * np.pi * design.ratio * turns_of(design, conditions)
+        angles = conditions.input_angle + span * np.arange(conditions.probe_angles) / conditions.probe_angles
 
         def at(angle: jax.Array) -> tuple[jax.Array, SolveInfo]:
-            return twisted(layout, design, errors, angle, given.rated_torque, shares)
+            return twisted(layout, design, errors, angle, conditions.rated_torque, shares)
 
         rotation, infos = jax.vmap(at)(jnp.asarray(angles, jnp.result_type(float, *jax.tree.leaves((design, errors)))))
         return rotation, worst_of(infos)
@@ -68,119 +68,119 @@ def _bench(shares: tuple[float, ...]) -> Callable[[RVReducer, RVErrors, LoadedCo
 BACKLASH, LOST_MOTION, STIFFNESS = _bench((PROBE,)), _bench((SLIGHT,)), _bench((RATED, HALF))
 
 
-def _play(twist: tuple[jax.Array, SolveInfo], design: RVReducer, given: LoadedConditions) -> Solved:
+def _play(twist: tuple[jax.Array, SolveInfo], design: RVReducer, conditions: LoadedConditions) -> Solved:
     rotation, info = twist
     return jnp.max(rotation[:, 0, 0] - rotation[:, 0, 1]), info.status
 
 
-def _stiffness(twist: tuple[jax.Array, SolveInfo], design: RVReducer, given: LoadedConditions) -> Solved:
+def _stiffness(twist: tuple[jax.Array, SolveInfo], design: RVReducer, conditions: LoadedConditions) -> Solved:
     rotation, info = twist
-    return jnp.min(secant(rotation[:, 0, 1], rotation[:, 1, 1], given.rated_torque)), info.status
+    return jnp.min(secant(rotation[:, 0, 1], rotation[:, 1, 1], conditions.rated_torque)), info.status
 
 
 def _figure(name: str) -> Callable[..., Solved]:
-    def take(found: Revolution, design: RVReducer, given: LoadedConditions) -> Solved:
-        return getattr(found, name), found.info.status
+    def take(results: Revolution, design: RVReducer, conditions: LoadedConditions) -> Solved:
+        return getattr(results, name), results.info.status
 
     return take
 
 
-def _shift(first: Revolution, second: Revolution, design: RVReducer, given: LoadedConditions) -> Solved:
+def _shift(first: Revolution, second: Revolution, design: RVReducer, conditions: LoadedConditions) -> Solved:
     return second.mean - first.mean, worst(jnp.stack([first.info.status, second.info.status]))
 
 
-def _amplitude(found: Revolution, design: RVReducer, given: LoadedConditions) -> Solved:
+def _amplitude(results: Revolution, design: RVReducer, conditions: LoadedConditions) -> Solved:
     """|X_k| of error = Re sum X_k e^(2 pi i k j / n), from its one line of the transform."""
-    k = round(given.order * turns_of(design, given))
-    angle = 2 * np.pi * ((k * np.arange(given.samples)) % given.samples) / given.samples
+    k = round(conditions.order * turns_of(design, conditions))
+    angle = 2 * np.pi * ((k * np.arange(conditions.samples)) % conditions.samples) / conditions.samples
     parts = [
-        2 / given.samples * jnp.sum(found.error * jnp.asarray(wave(angle), found.error.dtype))
+        2 / conditions.samples * jnp.sum(results.error * jnp.asarray(wave(angle), results.error.dtype))
         for wave in (np.cos, np.sin)
     ]
     square = parts[0] ** 2 + parts[1] ** 2
-    return jnp.where(square == 0, 0, jnp.sqrt(jnp.where(square == 0, 1, square))), found.info.status
+    return jnp.where(square == 0, 0, jnp.sqrt(jnp.where(square == 0, 1, square))), results.info.status
 
 
-def _pressure(design: RVReducer, errors: RVErrors, given: LoadedConditions) -> Solved:
-    found = equilibrium(
+def _pressure(design: RVReducer, errors: RVErrors, conditions: LoadedConditions) -> Solved:
+    solution = equilibrium(
         errors.stiffened(design),
         errors,
-        input_angle=given.input_angle,
-        output_torque=given.output_torque,
-        **ways(given),
+        input_angle=conditions.input_angle,
+        output_torque=conditions.output_torque,
+        **ways(conditions),
     )
-    return jnp.max(found.pressure), found.info.status
+    return jnp.max(solution.pressure), solution.info.status
 
 
-def _fit(design: PyTree, errors: PyTree, given: LoadedConditions) -> Clearance:
+def _fit(design: PyTree, errors: PyTree, conditions: LoadedConditions) -> Clearance:
     """Least clearance of flanks, and of the holes of a drive, over the span without load."""
-    return clearance(design, errors, turns=turns_of(design, given), samples=given.samples)
+    return clearance(design, errors, turns=turns_of(design, conditions), samples=conditions.samples)
 
 
-def _least(found: Clearance, design: PyTree, given: LoadedConditions) -> Solved:
-    return found.least, found.info.status
+def _least(clearances: Clearance, design: PyTree, conditions: LoadedConditions) -> Solved:
+    return clearances.least, clearances.info.status
 
 
-def _clearance(design: RVReducer, errors: RVErrors, given: LoadedConditions) -> Solved:
-    return _least(_fit(design, errors, given), design, given)
+def _clearance(design: RVReducer, errors: RVErrors, conditions: LoadedConditions) -> Solved:
+    return _least(_fit(design, errors, conditions), design, conditions)
 
 
-def _one_more(design: RVReducer, given: LoadedConditions) -> None:
+def _one_more(design: RVReducer, conditions: LoadedConditions) -> None:
     check_teeth(design.cycloid)
 
 
-def _angles(given: LoadedConditions) -> np.ndarray:
-    return 2 * np.pi * np.arange(given.samples) / given.samples
+def _angles(conditions: LoadedConditions) -> np.ndarray:
+    return 2 * np.pi * np.arange(conditions.samples) / conditions.samples
 
 
-def _curve(design: RVReducer, errors: RVErrors, given: LoadedConditions) -> tuple[np.ndarray, jax.Array]:
-    return _angles(given), turn(design, errors, given).error
+def _curve(design: RVReducer, errors: RVErrors, conditions: LoadedConditions) -> tuple[np.ndarray, jax.Array]:
+    return _angles(conditions), turn(design, errors, conditions).error
 
 
 def _carrying(outputs: dict[str, Output]) -> dict[str, Output]:
     """Add to each output a check for missing load-carrying parts of the design, before its other checks."""
 
-    def refusing(own: Refuse | None) -> Refuse:
-        def refuse(design: RVReducer, given: LoadedConditions) -> None:
+    def refusing(check: Refuse | None) -> Refuse:
+        def refuse(design: RVReducer, conditions: LoadedConditions) -> None:
             for part in ("stiffness", "contact"):
                 if getattr(design, part) is None:
                     cls = part_class(type(design), part)
                     keys = ", ".join(f.name for f in dataclasses.fields(cls) if f.default is dataclasses.MISSING)
                     raise ValueError(f"design.{part} is missing: a reducer under load needs it, with {keys}")
-            if own is not None:
-                own(design, given)
+            if check is not None:
+                check(design, conditions)
 
         return refuse
 
     return {name: replace(output, refuse=refusing(output.refuse)) for name, output in outputs.items()}
 
 
-def _apart(design: RVReducer, given: LoadedConditions) -> None:
-    if given.second_torque == given.output_torque:
+def _apart(design: RVReducer, conditions: LoadedConditions) -> None:
+    if conditions.second_torque == conditions.output_torque:
         raise ValueError(
-            f"conditions.second_torque = {given.second_torque:g} N m: must differ from conditions.output_torque"
+            f"conditions.second_torque = {conditions.second_torque:g} N m: must differ from conditions.output_torque"
         )
 
 
-def _rated(design: RVReducer, given: LoadedConditions) -> None:
-    if given.rated_torque <= 0:
-        raise ValueError(f"conditions.rated_torque = {given.rated_torque:g} N m: must be positive")
+def _rated(design: RVReducer, conditions: LoadedConditions) -> None:
+    if conditions.rated_torque <= 0:
+        raise ValueError(f"conditions.rated_torque = {conditions.rated_torque:g} N m: must be positive")
 
 
-def _loaded(design: RVReducer, given: LoadedConditions) -> None:
-    if given.output_torque == 0:
+def _loaded(design: RVReducer, conditions: LoadedConditions) -> None:
+    if conditions.output_torque == 0:
         raise ValueError("conditions.output_torque = 0 N m: without torque there is no load to share")
 
 
-def _resolved(design: RVReducer, given: LoadedConditions) -> None:
+def _resolved(design: RVReducer, conditions: LoadedConditions) -> None:
     """An order that the span holds in full periods and the samples resolve."""
-    where, zp = f"conditions.order = {given.order}", design.cycloid.pin_count
-    if given.span == "crank_turn" and given.order % zp:
+    where, zp = f"conditions.order = {conditions.order}", design.cycloid.pin_count
+    if conditions.span == "crank_turn" and conditions.order % zp:
         raise ValueError(f'{where}: a crank turn shows multiples of {zp} only; set conditions.span = "output_turn"')
-    if 2 * given.order * turns_of(design, given) >= given.samples:
-        least = round(2 * given.order * turns_of(design, given)) + 1
+    if 2 * conditions.order * turns_of(design, conditions) >= conditions.samples:
+        least = round(2 * conditions.order * turns_of(design, conditions)) + 1
         raise ValueError(
-            f"{where}: beyond half of conditions.samples = {given.samples} over the span, {least} at least"
+            f"{where}: beyond half of conditions.samples = {conditions.samples} over the span, {least} at least"
         )
 
 
@@ -188,16 +188,16 @@ def _of_turn(unit: str, meaning: str, name: str, refuse: Refuse | None = None, l
     return Output(unit, meaning, Reading((turn,), _figure(name)), refuse=refuse, least=least)
 
 
-def _along(given: LoadedConditions) -> tuple[str, int]:
-    return "turn", given.samples
+def _along(conditions: LoadedConditions) -> tuple[str, int]:
+    return "turn", conditions.samples
 
 
-def _at_the_probe(given: LoadedConditions) -> tuple[str, int]:
-    return "probe", 2 * given.probe_angles
+def _at_the_probe(conditions: LoadedConditions) -> tuple[str, int]:
+    return "probe", 2 * conditions.probe_angles
 
 
-def _at_the_bench(given: LoadedConditions) -> tuple[str, int]:
-    return "bench", 2 * given.probe_angles
+def _at_the_bench(conditions: LoadedConditions) -> tuple[str, int]:
+    return "bench", 2 * conditions.probe_angles
 
 
 NEEDS = ("rated_torque",)

@@ -11,18 +11,17 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from rvjax._jax.compile_cache import quick
-from rvjax._jax.varying import scan
+from rvjax._jax.kernels import scan
+from rvjax._jax.programs import quick
 from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
 from rvjax.loaded.balance import forces
-from rvjax.loaded.case import placed, pressures, solve, turned
-from rvjax.loaded.equilibrium import newton_first
+from rvjax.loaded.case import at_output, output_rotation, pressures, solve
 from rvjax.loaded.inputs import Read, check_teeth
-from rvjax.loaded.kinds import KINDS, admit, check_input, check_kind, kind_of, named, prepare
-from rvjax.loaded.newton import Found
+from rvjax.loaded.kinds import KINDS, admit, check_input, check_kind, kind_of, named_forces, prepare
+from rvjax.loaded.newton import Minimum
 from rvjax.loaded.system import Layout
 from rvjax.records import Array, PyTree, Record, Scalar, field, record
 from rvjax.roots import solved
@@ -68,35 +67,35 @@ def instants(
             the last two.
     """
 
-    def from_start(start: jax.Array, torque: jax.Array, angle: jax.Array) -> tuple[Found, SolveInfo]:
+    def from_start(start: jax.Array, torque: jax.Array, angle: jax.Array) -> tuple[Minimum, SolveInfo]:
         case = prepare(layout, read, jax.lax.stop_gradient(angle)).loaded(torque)
         return solve(layout, read, jax.lax.stop_gradient(case), start)
 
-    def onward(known: Pair, at: tuple[jax.Array, ...]) -> tuple[Pair, tuple[Found, SolveInfo]]:
+    def onward(known: Pair, at: tuple[jax.Array, ...]) -> tuple[Pair, tuple[Minimum, SolveInfo]]:
         (last, earlier), (torque, angle, number) = known, at  # NaN where there is none
         start = jnp.where((number == 2) & jnp.isfinite(earlier), 2 * last - earlier, last)
-        found, info = from_start(jnp.where(number == 0, jnp.nan, start), torque, angle)
-        here = jnp.where(succeeded(info.status), found.q, jnp.nan)
-        return (here, jnp.where(number == 0, jnp.nan, last)), (found, info)
+        minima, info = from_start(jnp.where(number == 0, jnp.nan, start), torque, angle)
+        here = jnp.where(succeeded(info.status), minima.q, jnp.nan)
+        return (here, jnp.where(number == 0, jnp.nan, last)), (minima, info)
 
     none = jnp.full((layout.unknowns,), jnp.nan, torques.dtype)
     if np.any(before):
-        found, info = solved(scan(onward, (none, none), (torques, input_angles, jnp.asarray(before)))[1])
+        minima, info = solved(scan(onward, (none, none), (torques, input_angles, jnp.asarray(before)))[1])
     else:  # one queue for all instants, so that slow ones are waited for once
-        found, info = solved(jax.vmap(partial(from_start, none))(torques, input_angles))
+        minima, info = solved(jax.vmap(partial(from_start, none))(torques, input_angles))
     measure = jax.checkpoint(partial(_measure, layout), static_argnums=())
-    error, loads, arm, support = jax.lax.map(lambda x: measure(read, *x), (torques, input_angles, found, info.status))
+    error, loads, arm, support = jax.lax.map(lambda x: measure(read, *x), (torques, input_angles, minima, info.status))
     return Instants(error, loads, arm, support, info)
 
 
 def _measure(
-    layout: Layout, read: Read, torque: jax.Array, angle: jax.Array, found: Found, status: jax.Array
+    layout: Layout, read: Read, torque: jax.Array, angle: jax.Array, minimum: Minimum, status: jax.Array
 ) -> tuple[jax.Array, Loads, jax.Array, jax.Array]:
     """Error, loads and forces of an instant, with their derivatives."""
     case = prepare(layout, read, angle).loaded(torque)
-    q = placed(layout, case, found, status)
+    q = at_output(layout, case, minimum, status)
     at = forces(layout, case.system, q)
-    of_names = named(layout, read, case, at)
+    of_names = named_forces(layout, read, case, at)
     arm, support = of_names.disc_bearing, of_names.support_bearing
     loads = Loads(
         largest_pin=jnp.max(at.pins),
@@ -109,7 +108,7 @@ def _measure(
         largest_output_pressure=None if of_names.output_pressure is None else jnp.max(of_names.output_pressure),
     )
     arm, support = (jnp.where(status == Status.CONVERGED, force, 0) for force in (arm, support))
-    return turned(layout, case, q), loads, arm, support
+    return output_rotation(layout, case, q), loads, arm, support
 
 
 def _largest(force: jax.Array) -> jax.Array:
@@ -186,7 +185,7 @@ def revolution(
     if samples < 1:
         raise ValueError(f"samples = {samples}: must be at least 1")
     turns = 1 / layout.pins if turns is None else turns
-    return newton_first(partial(_revolution, samples), layout, design, errors, output_torque, turns)
+    return _revolution(samples, layout, design, errors, output_torque, turns)
 
 
 @quick(0, 1)
@@ -201,16 +200,16 @@ def _revolution(
     return summary(instants(layout, read, jnp.broadcast_to(read.torque, order.shape), step * order, before))
 
 
-def summary(found: Instants) -> Revolution:
+def summary(equilibria: Instants) -> Revolution:
     """The revolution of equally spaced instants.
 
     Args:
-        found: (n,) of one turn.
+        equilibria: (n,) of one turn.
     """
-    samples = len(found.error)
-    whole = worst_of(found.info)
+    samples = len(equilibria.error)
+    whole = worst_of(equilibria.info)
     fine = succeeded(whole.status)
-    error = jnp.where(fine, found.error, jnp.nan)
+    error = jnp.where(fine, equilibria.error, jnp.nan)
     wave = jnp.fft.fft(jnp.where(fine, error, 0))[:HARMONICS] / samples
     wave = jnp.pad(wave, (0, HARMONICS - len(wave)))
     wave = wave + wave.at[0].set(0)  # X_0 once, all others twice
@@ -219,8 +218,8 @@ def summary(found: Instants) -> Revolution:
         peak_to_peak=jnp.max(error) - jnp.min(error),
         mean=jnp.mean(error),
         harmonics=jnp.where(fine, wave, jnp.nan),
-        **jax.tree.map(lambda load: jnp.where(fine, jnp.max(load), jnp.nan), found.loads._asdict()),
-        info=whole.replace(steps=jnp.sum(found.info.steps)),
+        **jax.tree.map(lambda load: jnp.where(fine, jnp.max(load), jnp.nan), equilibria.loads._asdict()),
+        info=whole.replace(steps=jnp.sum(equilibria.info.steps)),
     )
 
 
@@ -270,5 +269,5 @@ def clearance(
 
 @quick(0, 1)
 def _clearance(samples: int, turns: float, design: PyTree, errors: PyTree) -> Clearance:
-    (least, found), info = kind_of(design).fit(samples, turns, design, errors)
-    return Clearance(least, found, info)
+    (least, each), info = kind_of(design).fit(samples, turns, design, errors)
+    return Clearance(least, each, info)

@@ -18,7 +18,7 @@ from rvjax.errors import RVErrors
 from rvjax.geometry import material as of_contact, squared_pressure
 from rvjax.loaded import laws
 from rvjax.loaded.balance import Forces
-from rvjax.loaded.case import Case, Named
+from rvjax.loaded.case import Case, NamedForces
 from rvjax.loaded.geometry import Geometry, Turn, flank_rounding, flanks, full, geometry, no_orders, pin_depths, turn
 from rvjax.loaded.inputs import Read, admitted, check_shapes, unchecked
 from rvjax.loaded.system import Bearings, Group, Joints, Layout, Pins, System
@@ -237,7 +237,7 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
     return Case(system, at.lever / one, pressure, jnp.asarray(cranks.circle_radius), size=at.size / one)
 
 
-def named(layout: Layout, read: Read, case: Case, forces: Forces) -> Named:
+def named_forces(layout: Layout, read: Read, case: Case, forces: Forces) -> NamedForces:
     """Forces of the cranks and of the first stage.
 
     Args:
@@ -249,7 +249,7 @@ def named(layout: Layout, read: Read, case: Case, forces: Forces) -> Named:
     (_, arms), (_, seats) = layout.parts(layout.bearings)
     driving, coasting = forces.joints.reshape(-1, 2).T
     gear = driving - coasting
-    return Named(
+    return NamedForces(
         disc_bearing=-forces.bearings[arms].reshape(layout.discs, layout.links, 2),
         support_bearing=forces.bearings[seats],
         gear=gear,

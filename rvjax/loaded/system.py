@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax._jax.batching import folded
+from rvjax._jax.kernels import folded
 from rvjax.loaded import laws
 
 
@@ -74,12 +74,12 @@ class Layout(NamedTuple):
 
     def parts(self, groups: tuple[Group, ...]) -> list[tuple[Group, slice]]:
         """Each group with its part of the contacts of all."""
-        found, end = list[tuple[Group, slice]](), 0
+        named_groups, end = list[tuple[Group, slice]](), 0
         for group in groups:
             discs, links = self.places(group)
             begin, end = end, end + discs * links * group.each
-            found.append((group, slice(begin, end)))
-        return found
+            named_groups.append((group, slice(begin, end)))
+        return named_groups
 
     def contacts(self, groups: tuple[Group, ...]) -> int:
         """Number of contacts of all groups."""
@@ -241,9 +241,9 @@ def limited(layout: Layout, s: System, pins: jax.Array, joints: jax.Array) -> li
         pins: any values of the pins (d, p, l).
         joints: any values of the joints (j, l).
     """
-    found = [(laws.largest_depth(s.pins.compliance[None], s.pins.level), pins)] if layout.law == "hertz" else []
+    limits = [(laws.largest_depth(s.pins.compliance[None], s.pins.level), pins)] if layout.law == "hertz" else []
     hertz = [(part, k, level) for law, part, k, level in _groups(layout, s) if law == "hertz"]
-    return found + [(laws.largest_depth(k, level), joints[part]) for part, k, level in hertz]
+    return limits + [(laws.largest_depth(k, level), joints[part]) for part, k, level in hertz]
 
 
 def _groups(layout: Layout, s: System) -> Iterator[tuple[str, slice, jax.Array, Any]]:

@@ -5,16 +5,15 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 
-from rvjax._jax.compile_cache import quick
-from rvjax._jax.varying import scan
+from rvjax._jax.kernels import scan
+from rvjax._jax.programs import quick
 from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
-from rvjax.loaded.case import placed, solve, turned
-from rvjax.loaded.equilibrium import newton_first
+from rvjax.loaded.case import at_output, output_rotation, solve
 from rvjax.loaded.kinds import admit, check_input, prepare
-from rvjax.loaded.newton import Found
+from rvjax.loaded.newton import Minimum
 from rvjax.loaded.system import Layout
 from rvjax.records import Array, PyTree, Record, Scalar, field, record
 from rvjax.roots import solved
@@ -65,7 +64,7 @@ def torsion(
         ValueError: as `equilibrium`.
     """
     layout = check_input(design, errors, contact, carrier, sun)
-    return newton_first(_torsion, layout, design, errors, input_angle, rated_torque)
+    return _torsion(layout, design, errors, input_angle, rated_torque)
 
 
 @quick(0)
@@ -123,21 +122,21 @@ def twisted(
     sides = read.torque * jnp.asarray([-1.0, 1.0], read.torque.dtype)
     sizes = jnp.asarray(shares, read.torque.dtype)
 
-    def lower(start: jax.Array, share: jax.Array) -> tuple[jax.Array, tuple[Found, SolveInfo]]:
+    def lower(start: jax.Array, share: jax.Array) -> tuple[jax.Array, tuple[Minimum, SolveInfo]]:
         """Both signs at one size of the torque, from the solutions at the one before."""
-        found, info = jax.vmap(lambda torque, start: solve(layout, read, case.on_bench(torque), start))(
+        minima, info = jax.vmap(lambda torque, start: solve(layout, read, case.on_bench(torque), start))(
             sides * share, start
         )
-        return jnp.where(succeeded(info.status)[:, None], found.q, jnp.nan), (found, info)
+        return jnp.where(succeeded(info.status)[:, None], minima.q, jnp.nan), (minima, info)
 
     cold = jnp.full((2, layout.unknowns), jnp.nan, sides.dtype)
-    found, infos = solved(scan(lower, cold, sizes)[1])
+    minima, infos = solved(scan(lower, cold, sizes)[1])
 
-    def angle(torque: jax.Array, found: Found, status: jax.Array) -> jax.Array:
+    def angle(torque: jax.Array, minima: Minimum, status: jax.Array) -> jax.Array:
         loaded = case.on_bench(torque)
-        return turned(layout, loaded, placed(layout, loaded, found, status))
+        return output_rotation(layout, loaded, at_output(layout, loaded, minima, status))
 
-    error = jax.vmap(jax.vmap(angle))(sizes[:, None] * sides[None], found, infos.status)  # (n, 2)
+    error = jax.vmap(jax.vmap(angle))(sizes[:, None] * sides[None], minima, infos.status)  # (n, 2)
     whole = worst_of(infos)
     return jnp.where(succeeded(whole.status), error, jnp.nan), whole.replace(steps=jnp.sum(infos.steps))
 

@@ -18,9 +18,9 @@ class LostMotionConditions:
     lost_motion_profile: str = condition("first_order", "of the backlash between flanks and pins", choices=PROFILES)
 
 
-def _lost_motion(design: RVReducer, errors: RVErrors, given: LostMotionConditions) -> Solved:
-    found = geometric(design, errors, profile=given.lost_motion_profile)
-    return found.total, found.info.status
+def _lost_motion(design: RVReducer, errors: RVErrors, conditions: LostMotionConditions) -> Solved:
+    result = geometric(design, errors, profile=conditions.lost_motion_profile)
+    return result.total, result.info.status
 
 
 FLANK = dict(  # Table 9 of Liu et al. 2022

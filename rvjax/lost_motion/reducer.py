@@ -118,9 +118,9 @@ def _geometric(numbers: object, *, reading: str, profile: str) -> LostMotion:
         found_wrong += [(~assembles, Status.NOT_ASSEMBLABLE)]
         flank = flank._replace(D=jnp.where(assembles, flank.D, 0), d=jnp.where(assembles, flank.d, 0))
         if profile == "contact":
-            found = flanks.minimum(flank)
-            of_flank, steps, residual = found.play, flanks.STEPS, found.slope
-            found_wrong += [(~found.reaches, Status.INVALID_GEOMETRY), (~found.converged, Status.MAX_STEPS)]
+            minimum = flanks.minimum(flank)
+            of_flank, steps, residual = minimum.play, flanks.STEPS, minimum.slope
+            found_wrong += [(~minimum.reaches, Status.INVALID_GEOMETRY), (~minimum.converged, Status.MAX_STEPS)]
         else:
             of_flank = flanks.first_order_minimum(flank)
         replaced = sum(values[name] for name in FLANK_TERMS)

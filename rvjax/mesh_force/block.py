@@ -26,8 +26,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax._jax.blocks import LEFT_OPEN
 from rvjax._jax.elementary import power
+from rvjax._jax.sizes import LEFT_OPEN
 from rvjax.mesh_force import laws, line_contact, safe
 from rvjax.mesh_force.geometry import Case, all_rollers, lever
 from rvjax.mesh_force.laws import Compliance
@@ -41,7 +41,7 @@ _Three = tuple[jax.Array, jax.Array, jax.Array]
 _Newton = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]
 
 
-class Found(NamedTuple):
+class Solution(NamedTuple):
     """The equilibrium and how it was found."""
 
     windup: jax.Array  # tau
@@ -66,7 +66,7 @@ class _Rows(NamedTuple):
     compliance: Compliance
 
 
-def solve_block(law: str, teeth: int, case: Case, size: int) -> Found:
+def solve_block(law: str, teeth: int, case: Case, size: int) -> Solution:
     """Equilibrium of `size` cases; leaves of the result (size, ...).
 
     Args:
@@ -82,7 +82,7 @@ def solve_block(law: str, teeth: int, case: Case, size: int) -> Found:
     windup, linear_steps = _linear(rows, torque)
     windup, guess_steps = _guess(law, rows, torque, windup)
     start, x, load, residual, fine, newton_steps = _newton(law, rows, torque, windup)
-    found = {
+    solution = {
         "windup": start + x,
         "load": load,
         "residual": residual,
@@ -92,10 +92,10 @@ def solve_block(law: str, teeth: int, case: Case, size: int) -> Found:
     }
     # A step from far away is right but for its rounding: the safe way begins where it ended.
     exact = residual <= 32 * float(jnp.finfo(torque.dtype).eps)
-    windup = jnp.where(fine & ~exact, found["windup"], windup)
-    found = _left_open(law, rows, torque, ~(fine & exact), windup, found)
-    loaded = _largest(list(found["load"])) > 0
-    return Found(**found | {"load": found["load"].T, "loaded": loaded})
+    windup = jnp.where(fine & ~exact, solution["windup"], windup)
+    solution = _left_open(law, rows, torque, ~(fine & exact), windup, solution)
+    loaded = _largest(list(solution["load"])) > 0
+    return Solution(**solution | {"load": solution["load"].T, "loaded": loaded})
 
 
 def _moment(rows: _Rows, roller: Callable[[_Rows, int], tuple[jax.Array, jax.Array]]) -> tuple[jax.Array, jax.Array]:
@@ -298,18 +298,18 @@ def _newton_step(
 
 
 def _left_open(
-    law: str, rows: _Rows, torque: jax.Array, todo: jax.Array, start: jax.Array, found: dict[str, jax.Array]
+    law: str, rows: _Rows, torque: jax.Array, todo: jax.Array, start: jax.Array, solution: dict[str, jax.Array]
 ) -> dict[str, jax.Array]:
-    """`found` with the cases `todo` solved the safe way, a chunk of them at a time."""
+    """`solution` with the cases `todo` solved the safe way, a chunk of them at a time."""
     size = len(todo)
 
     def some(state: tuple[jax.Array, dict[str, jax.Array]]) -> tuple[jax.Array, dict[str, jax.Array]]:
-        todo, found = state
+        todo, solution = state
         (lanes,) = jnp.nonzero(todo, size=min(LEFT_OPEN, size), fill_value=size)
         taken = jax.tree.map(lambda leaf: leaf if leaf.shape[-1] == 1 else leaf[..., lanes], rows)
         part = safe.solve(law, taken.arm, taken.gap, taken.compliance, torque[lanes], start[lanes])
-        part["steps"] += found["steps"][lanes]
-        found = {name: found[name].at[..., lanes].set(part[name], mode="drop") for name in found}
-        return todo.at[lanes].set(False, mode="drop"), found
+        part["steps"] += solution["steps"][lanes]
+        solution = {name: solution[name].at[..., lanes].set(part[name], mode="drop") for name in solution}
+        return todo.at[lanes].set(False, mode="drop"), solution
 
-    return jax.lax.while_loop(lambda state: jnp.any(state[0]), some, (todo, found))[1]
+    return jax.lax.while_loop(lambda state: jnp.any(state[0]), some, (todo, solution))[1]

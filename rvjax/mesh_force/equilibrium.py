@@ -18,14 +18,14 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from rvjax._ground.choices import choose
-from rvjax._jax.batching import TracedLate, along_lanes
-from rvjax._jax.blocks import ROLLER_CASES
 from rvjax._jax.elementary import LARGEST_ANGLE
+from rvjax._jax.kernels import BatchedKernel, along_lanes
+from rvjax._jax.sizes import ROLLER_CASES
 from rvjax._reducer.plausible import checked
 from rvjax.designs import CamRollerReducer, expect
 from rvjax.errors import CamRollerErrors
 from rvjax.mesh_force import geometry, laws, line_contact
-from rvjax.mesh_force.block import Found, solve_block
+from rvjax.mesh_force.block import Solution, solve_block
 from rvjax.mesh_force.geometry import Case, all_rollers, lever, take_apart
 from rvjax.mesh_force.laws import Compliance
 from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record, signs_hold
@@ -33,7 +33,7 @@ from rvjax.status import SolveInfo, Status, admit, converged, window
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def attach(
+def with_implicit_derivative(
     law: str,
     arm: jax.Array,
     gap: jax.Array,
@@ -59,11 +59,11 @@ def attach(
     return windup, load
 
 
-@attach.defjvp
-def _attach_jvp(law: str, primals: PyTree, tangents: PyTree) -> PyTree:
+@with_implicit_derivative.defjvp
+def _with_implicit_derivative_jvp(law: str, primals: PyTree, tangents: PyTree) -> PyTree:
     arm, gap, compliance, _, _, _ = primals
     darm, dgap, dcompliance, dtorque, _, _ = tangents
-    windup, load = attach(law, *primals)
+    windup, load = with_implicit_derivative(law, *primals)
     rate = jnp.where(load > 0, 1 / laws.slope(law, load, compliance), 0)
     _, dapproach = jax.jvp(lambda c: laws.approach(law, load, c), (compliance,), (dcompliance,))
     ddepth = windup * darm + dgap - dapproach
@@ -79,7 +79,7 @@ def _attach_jvp(law: str, primals: PyTree, tangents: PyTree) -> PyTree:
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def equilibrium(law: str, teeth: int, case: Case) -> Found:
+def equilibrium(law: str, teeth: int, case: Case) -> Solution:
     """Return the equilibrium of a case, (n,) loads; carries no derivative.
 
     Args:
@@ -87,26 +87,26 @@ def equilibrium(law: str, teeth: int, case: Case) -> Found:
         teeth: z.
         case: the case.
     """
-    found = _batched(law, teeth)(jax.tree.map(lambda leaf: leaf[None], case))
-    return jax.tree.map(lambda leaf: leaf[0], found)
+    solution = _batched(law, teeth)(jax.tree.map(lambda leaf: leaf[None], case))
+    return jax.tree.map(lambda leaf: leaf[0], solution)
 
 
 @equilibrium.defjvp
-def _equilibrium_jvp(law: str, teeth: int, primals: tuple[Case], tangents: tuple[Case]) -> tuple[Found, Found]:
-    found = equilibrium(law, teeth, *primals)
-    return found, jax.custom_derivatives.zero_from_primal(found)
+def _equilibrium_jvp(law: str, teeth: int, primals: tuple[Case], tangents: tuple[Case]) -> tuple[Solution, Solution]:
+    solution = equilibrium(law, teeth, *primals)
+    return solution, jax.custom_derivatives.zero_from_primal(solution)
 
 
 @functools.lru_cache(maxsize=64)
-def _batched(law: str, teeth: int) -> Callable[[Case], Found]:
+def _batched(law: str, teeth: int) -> Callable[[Case], Solution]:
     """Batch (cases, ...) -> Found (cases, ...); vmap makes a larger batch of it."""
-    return along_lanes(TracedLate(functools.partial(_in_blocks, law, teeth), functools.partial(_shapes, teeth)))
+    return along_lanes(BatchedKernel(functools.partial(_in_blocks, law, teeth), functools.partial(_shapes, teeth)))
 
 
 def _shapes(teeth: int, case: Case) -> PyTree:
     size, dtype = max(leaf.shape[0] for leaf in case), case.torque.dtype
     number: Any = jax.ShapeDtypeStruct((size,), dtype)
-    return Found(
+    return Solution(
         windup=number,
         load=number.update(shape=(size, teeth + 1)),
         steps=number.update(dtype=jnp.int32),
@@ -117,23 +117,23 @@ def _shapes(teeth: int, case: Case) -> PyTree:
     )
 
 
-def _in_blocks(law: str, teeth: int, case: Case) -> Found:
+def _in_blocks(law: str, teeth: int, case: Case) -> Solution:
     size = max(len(leaf) for leaf in case)
     width = min(size, ROLLER_CASES.here)
     if size == width:
         return solve_block(law, teeth, case, size)
 
     @jax.jit  # traced once
-    def block(start: jax.Array) -> Found:
+    def block(start: jax.Array) -> Solution:
         def part(leaf: jax.Array) -> jax.Array:
             return leaf if len(leaf) == 1 else jax.lax.dynamic_slice_in_dim(leaf, start, width)
 
         return solve_block(law, teeth, Case(*map(part, case)), width)
 
-    def solved(number: jax.Array, found: Found) -> Found:
+    def solved(number: jax.Array, solution: Solution) -> Solution:
         start = jnp.minimum(number * width, size - width)  # the last block overlaps: no case depends on its neighbours
         return jax.tree.map(
-            lambda all_, new: jax.lax.dynamic_update_slice_in_dim(all_, new, start, 0), found, block(start)
+            lambda all_, new: jax.lax.dynamic_update_slice_in_dim(all_, new, start, 0), solution, block(start)
         )
 
     shapes = jax.eval_shape(block, 0)
@@ -210,20 +210,22 @@ def solve(
     errors = others.replace(roller_radius=errors.roller_radius)
 
     case, unit = take_apart(design, errors, torque, angle, gate.good)
-    found = equilibrium(contact, z, case)
+    solution = equilibrium(contact, z, case)
     rollers = all_rollers(z, case)
-    windup, load = attach(contact, rollers.arm, rollers.gap, rollers.compliance, case.torque, found.windup, found.load)
+    windup, load = with_implicit_derivative(
+        contact, rollers.arm, rollers.gap, rollers.compliance, case.torque, solution.windup, solution.load
+    )
     windup *= design.roller_radius / design.eccentricity
     cam = unit * load
 
     tolerance = 1e-12 if torque.dtype == jnp.float64 else 64 * float(jnp.finfo(torque.dtype).eps)
     (cam, cage, gear, windup), info = gate.close(
         (cam, cam * rollers.cage_ratio, cam * rollers.compliance.gear, windup),
-        (~found.finite, Status.NONFINITE),
-        (found.overload, Status.CONTACT_OVERLOAD),
-        (~(found.residual <= tolerance), Status.MAX_STEPS),
-        ((case.torque == 0) & ~found.loaded, Status.UNLOADED),
-        info=converged(found.residual, found.steps),
+        (~solution.finite, Status.NONFINITE),
+        (solution.overload, Status.CONTACT_OVERLOAD),
+        (~(solution.residual <= tolerance), Status.MAX_STEPS),
+        ((case.torque == 0) & ~solution.loaded, Status.UNLOADED),
+        info=converged(solution.residual, solution.steps),
     )
     return MeshForces(cam, cage, gear, windup, info)
 

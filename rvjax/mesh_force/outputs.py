@@ -29,27 +29,29 @@ class MeshForceConditions:
     )
 
 
-def _cycle(design: CamRollerReducer, errors: CamRollerErrors, given: MeshForceConditions) -> CycleStatistics:
-    torque, contact = given.input_torque, given.contact
-    return cycle_statistics(design, errors, input_torque=torque, contact=contact, samples=given.angles)
+def _cycle(design: CamRollerReducer, errors: CamRollerErrors, conditions: MeshForceConditions) -> CycleStatistics:
+    torque, contact = conditions.input_torque, conditions.contact
+    return cycle_statistics(design, errors, input_torque=torque, contact=contact, samples=conditions.angles)
 
 
-def _cam_force(design: CamRollerReducer, errors: CamRollerErrors, given: MeshForceConditions) -> Solved:
-    found = _cycle(design, errors, given)
-    return found.cam_peak, found.info.status
+def _cam_force(design: CamRollerReducer, errors: CamRollerErrors, conditions: MeshForceConditions) -> Solved:
+    cycle = _cycle(design, errors, conditions)
+    return cycle.cam_peak, cycle.info.status
 
 
-def _contact_pressure(design: CamRollerReducer, errors: CamRollerErrors, given: MeshForceConditions) -> Solved:
-    found = _cycle(design, errors, given)
-    return found.pressure_peak, found.info.status
+def _contact_pressure(design: CamRollerReducer, errors: CamRollerErrors, conditions: MeshForceConditions) -> Solved:
+    cycle = _cycle(design, errors, conditions)
+    return cycle.pressure_peak, cycle.info.status
 
 
-def _curve(design: CamRollerReducer, errors: CamRollerErrors, given: MeshForceConditions) -> tuple[np.ndarray, Array]:
+def _curve(
+    design: CamRollerReducer, errors: CamRollerErrors, conditions: MeshForceConditions
+) -> tuple[np.ndarray, Array]:
     """Largest cam force of all rollers while the output turns by one tooth of the gear."""
     angles = np.linspace(0, 2 * np.pi / design.gear_teeth, 8 * (design.gear_teeth + 1), endpoint=False)
 
     def largest(angle: jax.Array) -> jax.Array:
-        torque, contact = given.input_torque, given.contact
+        torque, contact = conditions.input_torque, conditions.contact
         return jnp.max(solve(design, errors, input_torque=torque, output_angle=angle, contact=contact).cam)
 
     return angles, jax.vmap(largest)(jnp.asarray(angles))

@@ -38,11 +38,11 @@ def solve(
     rollers = _Rollers(arm, gap, compliance)
     torque = torque[None]
     start = jnp.where(jnp.isfinite(start), start, 0)[None]
-    found = _bracketed(law, rollers, torque, start)
-    windup, load = _rest(rollers, torque, found["windup"], found["load"])
-    found = {**found, "windup": windup}
+    solution = _bracketed(law, rollers, torque, start)
+    windup, load = _rest(rollers, torque, solution["windup"], solution["load"])
+    solution = {**solution, "windup": windup}
     rest = {"load": load, "residual": missing(rollers.arm, load, torque[0])}
-    return {name: value[0] for name, value in found.items() if name != "load"} | rest
+    return {name: value[0] for name, value in solution.items() if name != "load"} | rest
 
 
 def missing(arm: jax.Array, load: jax.Array, torque: jax.Array) -> jax.Array:

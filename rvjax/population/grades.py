@@ -2,7 +2,7 @@
 
 import math
 
-from rvjax._jax.arguments import checked
+from rvjax._jax.checks import checked
 from rvjax.records import Scalar, quantity
 from rvjax.units import mm, um
 

@@ -51,8 +51,8 @@ ARM = RollerBearing(14, 6 * mm, 11 * mm, 32 * mm)  # its load is free of its siz
 @cache
 def _torque(size: str, speed: float) -> float:
     """Torque for the rated life at a speed in r/min, without errors."""
-    found = life.rated_torque(RATIO[size], ERRORS, life=RATED_LIFE, output_speed=speed * rpm, samples=SAMPLES)
-    return float(found.torque)
+    rated = life.rated_torque(RATIO[size], ERRORS, life=RATED_LIFE, output_speed=speed * rpm, samples=SAMPLES)
+    return float(rated.torque)
 
 
 def _torque_at(size: str, speed: float) -> float:
@@ -68,11 +68,11 @@ def _duty(phases: tuple[tuple[float, float, float], ...]) -> life.Duty:
 def _hours_of_duty() -> float:
     """Life in motion, h, of a reducer that lasts 6000 h at its rated torque and 15 r/min; linear pins."""
     same = _duty(((TORQUE["rv40e"], 15.0, 1.0),) * 4)
-    found = [
+    lives = [
         life.rating(RV_40E, ERRORS, duty, samples=SAMPLES, contact="linear").life for duty in (_duty(MAKERS_DUTY), same)
     ]
     moving = sum(time for _, speed, time in MAKERS_DUTY if speed) / sum(time for *_, time in MAKERS_DUTY)
-    return 6000 * moving * float(found[0] / found[1])
+    return 6000 * moving * float(lives[0] / lives[1])
 
 
 def _rating_needed(design: RVReducer, torque: float) -> float:
@@ -118,8 +118,8 @@ def _fits_the_disc(design: RVReducer, torque: float) -> bool:
 def _safe_at(size: str, factor: float, least: float) -> bool:
     """True if the crank bearings of a size have a static safety at a multiple of the rated torque."""
     duty = life.Duty([factor * TORQUE[size]], [RATED_SPEED], [1.0])
-    found = life.rating(SIZES[size], ERRORS, duty, samples=SAMPLES)
-    return float(found.static_safety) >= least and int(found.info.status) == 0
+    rated = life.rating(SIZES[size], ERRORS, duty, samples=SAMPLES)
+    return float(rated.static_safety) >= least and int(rated.info.status) == 0
 
 
 COMPUTED: dict[str, Callable[[], float | bool | list[float]]] = {

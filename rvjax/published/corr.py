@@ -72,8 +72,8 @@ def _ends(parameter: str, name: str) -> list[float]:
 
 
 def _at_end(end: int, parameter: str, *names: str) -> float | list[float]:
-    found = [_at(name, parameter, VALUES[parameter][end]) for name in names]
-    return found if len(names) > 1 else found[0]
+    values = [_at(name, parameter, VALUES[parameter][end]) for name in names]
+    return values if len(names) > 1 else values[0]
 
 
 def _change(parameter: str, name: str) -> float:

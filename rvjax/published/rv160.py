@@ -15,7 +15,7 @@ import numpy as np
 from scipy import optimize
 
 from rvjax import loaded
-from rvjax._jax.batching import in_blocks
+from rvjax._jax.kernels import in_blocks
 from rvjax.designs import Contact, CrankStage, CycloidStage, InvoluteStage, RVReducer, Stiffness
 from rvjax.errors import RVErrors
 from rvjax.records import Scalar
@@ -177,14 +177,14 @@ def fit(
         log[moves] = moved
         return half_difference(np.exp(log), errors)
 
-    found = optimize.least_squares(
+    solution = optimize.least_squares(
         lambda moved: (at(*moved)[0] - measured)[FITTED] / arcmin,
         log[moves],
         jac=lambda moved: at(*moved)[1][FITTED][:, moves] / arcmin,
         xtol=1e-5,
         max_nfev=steps + 1,
     )
-    angle, slope = at(*found.x)
+    angle, slope = at(*solution.x)
     rows = slope[FITTED][:, moves]
     freedom = FITTED.sum() - moves.sum()
     covariance = np.sum((angle - measured)[FITTED] ** 2) / freedom * np.linalg.inv(rows.T @ rows)
@@ -222,12 +222,12 @@ def spectra(units: dict[str, RVErrors], torque: Numbers, factor: float) -> dict[
     """
     turn = 2 * np.pi * MACHINE.ratio * np.arange(SAMPLES) / SAMPLES
     load, angle = np.meshgrid(np.asarray(torque, float), turn, indexing="ij")
-    found = {}
+    amplitudes = {}
     for name, errors in units.items():
         values = dict(factor=factor, gears=1.0, clearance=errors.bearing_clearance / um, play=NO_PLAY, scatter=1.0)
         error, _ = _solved([values[free] for free in FREE], errors, angle.ravel(), load.ravel())
-        found[name] = 2 / SAMPLES * np.abs(np.fft.rfft(error.reshape(load.shape)))[..., : SAMPLES // 2]
-    return found
+        amplitudes[name] = 2 / SAMPLES * np.abs(np.fft.rfft(error.reshape(load.shape)))[..., : SAMPLES // 2]
+    return amplitudes
 
 
 @cache
@@ -282,8 +282,8 @@ def _read(torque: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Reading and transmission error over an output turn without errors of parts, (angles,) rad."""
 
     def at(angle: jax.Array) -> tuple[jax.Array, jax.Array]:
-        found = loaded.equilibrium(READ, NONE, input_angle=angle, output_torque=torque)
-        return loaded.reading(found, READ, ENCODER, input_angle=angle, output_torque=torque), found.error
+        solution = loaded.equilibrium(READ, NONE, input_angle=angle, output_torque=torque)
+        return loaded.reading(solution, READ, ENCODER, input_angle=angle, output_torque=torque), solution.error
 
     return jax.vmap(at)(jnp.asarray(2 * np.pi * READ.ratio * np.arange(READ_ANGLES) / READ_ANGLES))
 

@@ -13,8 +13,8 @@ import jax
 import numpy as np
 
 from rvjax import dynamics
-from rvjax._jax.batching import in_blocks
-from rvjax._jax.blocks import PUBLISHED
+from rvjax._jax.kernels import in_blocks
+from rvjax._jax.sizes import PUBLISHED
 from rvjax.catalogue import RV_320E
 from rvjax.designs import InvoluteStage, RVReducer
 from rvjax.published.rv320e_appendix import printed_stiffness
@@ -43,8 +43,8 @@ def _modes() -> dynamics.Modes:
 
 def _distinct(kind: str | None = None) -> np.ndarray:
     """Distinct natural frequencies in Hz, of one kind or all."""
-    found = _modes()
-    frequency = np.asarray(found.frequency)[slice(None) if kind is None else found.kind == kind]
+    modes = _modes()
+    frequency = np.asarray(modes.frequency)[slice(None) if kind is None else modes.kind == kind]
     return frequency[np.append(True, np.diff(frequency) > 1e-6 * frequency[1:])]
 
 
@@ -64,8 +64,8 @@ def _slopes() -> dict[str, np.ndarray]:
 
 
 def _slope_signs(name: str, kind: str) -> np.ndarray:
-    found = _modes()
-    return np.sign(_slopes()[name][(found.kind == kind) & (np.asarray(found.frequency) < 2500)])
+    modes = _modes()
+    return np.sign(_slopes()[name][(modes.kind == kind) & (np.asarray(modes.frequency) < 2500)])
 
 
 @cache
@@ -129,16 +129,16 @@ def _amplitude(stage: str) -> np.ndarray:
     """|B| (9, outputs) at rated speed."""
     if stage == "planetary":
         return np.abs(_nominal("eccentricity")[0])
-    found = dynamics.response(RV_320E, sun_speed=RATED, output_torque=TORQUE, stage=stage, outputs=OUTPUTS)
-    return np.abs(np.asarray(found.amplitude))
+    response = dynamics.response(RV_320E, sun_speed=RATED, output_torque=TORQUE, stage=stage, outputs=OUTPUTS)
+    return np.abs(np.asarray(response.amplitude))
 
 
 def _constant_forcing() -> np.ndarray:
     """Relative change of the harmonics for the eccentricity by Eq. 14, the forces held."""
-    found = dynamics.log_sensitivities(
+    slopes = dynamics.log_sensitivities(
         LUMPED, sun_speed=RATED, output_torque=TORQUE, outputs=OUTPUTS, formula="constant_forcing"
     )
-    return np.asarray(found["eccentricity"])
+    return np.asarray(slopes["eccentricity"])
 
 
 @cache
@@ -173,8 +173,8 @@ def _norm_slopes() -> np.ndarray:
     speed, e = np.meshgrid(SPEEDS * rpm, ECCENTRICITIES, indexing="ij")
     amplitude, slope = _lanes("eccentricity", e.ravel(), speed.ravel())
     norm = np.sqrt(np.sum(np.abs(amplitude) ** 2, axis=1))
-    found = np.abs(np.sum((amplitude.conj() * slope).real, axis=1) / np.where(norm == 0, 1, norm))
-    return found.reshape(*e.shape, len(OUTPUTS))
+    derivative = np.abs(np.sum((amplitude.conj() * slope).real, axis=1) / np.where(norm == 0, 1, norm))
+    return derivative.reshape(*e.shape, len(OUTPUTS))
 
 
 def _eccentricity_curves(output: str) -> np.ndarray:
@@ -219,8 +219,8 @@ def _suppressed() -> bool:
 
 def _planetary_with_mesh() -> float:
     """Planetary modes below 5000 Hz (l = 2, mesh frequency 2500 Hz) that move along the line of action."""
-    found = _modes()
-    own = (found.kind == "planetary") & (np.asarray(found.frequency) / 2 < 2500)
+    modes = _modes()
+    own = (modes.kind == "planetary") & (np.asarray(modes.frequency) / 2 < 2500)
     alpha, rp = RV_320E.involute.pressure_angle, RV_320E.involute.planet_base_radius
     along = -np.sin(alpha) * _row("planet1.x") - np.cos(alpha) * _row("planet1.y") + rp * _row("planet1.rotation")
     return float(np.sum(np.abs(along[own]) > 1e-6))

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.batching import in_blocks
+from rvjax._jax.kernels import in_blocks
 from rvjax.catalogue import RV_40E
 from rvjax.errors import RVErrors
 from rvjax.four_bar import LinkDeviations, solve_closure, transmission_error
@@ -155,8 +155,8 @@ def _of_the_reading() -> tuple[np.ndarray, np.ndarray]:
     """Gradient (5,) and second derivatives (5, 5) of the coupler angle at zero error, as the source solves it."""
 
     def gradient(links: jax.Array) -> tuple[jax.Array, jax.Array]:
-        found = jax.grad(partial(_coupler_angle, closure="quadratic", branch="crossed"))(links)
-        return found, found
+        slopes = jax.grad(partial(_coupler_angle, closure="quadratic", branch="crossed"))(links)
+        return slopes, slopes
 
     second, first = jax.jit(jax.jacfwd(gradient, has_aux=True))(jnp.zeros(5))
     return np.asarray(first), np.asarray(second)

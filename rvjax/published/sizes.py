@@ -52,8 +52,8 @@ def similar(torque: float) -> RVReducer:
 
 def _secant(design: RVReducer, torque: float) -> float:
     """Between half and full rated torque, N m/arcmin; without errors of parts."""
-    found = loaded.torsion(design, RVErrors(), input_angle=0.0, rated_torque=torque)
-    return float(found.stiffness) * arcmin
+    curve = loaded.torsion(design, RVErrors(), input_angle=0.0, rated_torque=torque)
+    return float(curve.stiffness) * arcmin
 
 
 @cache

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax._jax.compile_cache import quick
-from rvjax._jax.varying import while_loop
+from rvjax._jax.kernels import while_loop
+from rvjax._jax.programs import quick
 from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import Bearings, Friction, RVReducer
@@ -179,8 +179,8 @@ def _least_root(plan: TurnPlan, sign: float, given: Given) -> Root:
     zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
     cold = jnp.full((plan.samples, 1, plan.layout.unknowns), jnp.nan, dtype)
     state = Search(zero, cold, zero, zero, zero, zero, zero + jnp.inf, none, zero, none - 1, none, none)
-    found = while_loop(lambda state: state.status == -1, onward, state)
-    return found.x, found.memory, SolveInfo(found.status, found.steps, found.residual)
+    end = while_loop(lambda state: state.status == -1, onward, state)
+    return end.x, end.memory, SolveInfo(end.status, end.steps, end.residual)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))

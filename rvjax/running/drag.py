@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
-from rvjax._jax.arguments import checked
-from rvjax._jax.compile_cache import quick
+from rvjax._jax.checks import checked
+from rvjax._jax.programs import quick
 from rvjax.records import Array, Record, concrete, field, promote, record
 from rvjax.units import with_unit
 
@@ -63,13 +63,13 @@ def fit_drag(speed: Array | np.ndarray, torque: Array | np.ndarray) -> DragFit:
         if len(turning) < sizes["speed"][0]:
             k = int(np.argmin(np.abs(np.asarray(speed))))
             raise ValueError(f"speed[{k}] = 0 rad/s: a point at rest has no direction of friction; leave it out")
-    found = _fit_drag(speed, torque)
-    if concrete(found.residual_sd) and np.isfinite(found.residual_sd):
-        _check(np.asarray(speed), np.asarray(torque), found)
-    return found
+    fit = _fit_drag(speed, torque)
+    if concrete(fit.residual_sd) and np.isfinite(fit.residual_sd):
+        _check(np.asarray(speed), np.asarray(torque), fit)
+    return fit
 
 
-def _check(speed: np.ndarray, torque: np.ndarray, found: DragFit) -> None:
+def _check(speed: np.ndarray, torque: np.ndarray, fit: DragFit) -> None:
     """Raise for torques and drags that are no friction; warn where the points bend about the fit."""
     way, share = np.sign(speed), np.abs(speed) / np.abs(speed).max()
     plain = np.stack([way, way * share, np.ones_like(way)], axis=1)
@@ -80,15 +80,15 @@ def _check(speed: np.ndarray, torque: np.ndarray, found: DragFit) -> None:
     else:
         against &= False
     for side in (1, -1):
-        own = way == side
-        if side * (mean := torque[own].mean()) <= 0 or (against & own).any():
-            k = int(np.argmin(np.where(own, way * torque, np.inf)))
+        on_side = way == side
+        if side * (mean := torque[on_side].mean()) <= 0 or (against & on_side).any():
+            k = int(np.argmin(np.where(on_side, way * torque, np.inf)))
             raise ValueError(
                 f"torque[{k}] = {torque[k]:g} N m at {speed[k]:g} rad/s (mean of this direction {mean:g} N m): a "
                 "torque that keeps a speed has its sign; check the signs and subtract the zero of the bench"
             )
     for name, unit in (("coulomb", "N m"), ("viscous", "N m s/rad")):
-        value, spread = (float(getattr(found, key)) for key in (name, f"{name}_sd"))
+        value, spread = (float(getattr(fit, key)) for key in (name, f"{name}_sd"))
         if value < -_WRONG * spread - 1e-9 * np.abs(torque).max() / (np.abs(speed).max() if unit != "N m" else 1):
             shown = f"{value:g} +- {with_unit(spread, unit, 'g')}"
             raise ValueError(f"{name} = {shown}: must not be negative; the points are no such drag")
@@ -115,9 +115,9 @@ def _fit_drag(speed: Array | np.ndarray, torque: Array | np.ndarray) -> DragFit:
     moving = (speed != 0).astype(speed.dtype)
     columns = jnp.stack([jnp.sign(speed), speed / scale, moving], axis=1)
     basis, upper = jnp.linalg.qr(columns)
-    found = jax.scipy.linalg.solve_triangular(upper, basis.T @ torque)
-    rest = moving * torque - columns @ found
+    coefficients = jax.scipy.linalg.solve_triangular(upper, basis.T @ torque)
+    rest = moving * torque - columns @ coefficients
     sd = jnp.sqrt(jnp.sum(rest * rest) / (jnp.sum(moving) - 3))
     inverse = jax.scipy.linalg.solve_triangular(upper, jnp.eye(3, dtype=speed.dtype))
     sds = sd * jnp.sqrt(jnp.sum(inverse * inverse, axis=1))  # (X'X)^-1 = R^-1 R^-T
-    return DragFit(found[0], found[1] / scale, found[2], sds[0], sds[1] / scale, sd)
+    return DragFit(coefficients[0], coefficients[1] / scale, coefficients[2], sds[0], sds[1] / scale, sd)

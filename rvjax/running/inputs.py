@@ -160,10 +160,10 @@ def check_call(
     if not isinstance(friction, Friction):
         raise ValueError(f"friction = {friction!r}: must be a Friction, or {kind}.friction must be one")
     bearings: Bearings | None = design.bearings
-    own = kind_of(design)
-    if own.joints != "output_pins" and friction.output_pins is not None:
+    of_kind = kind_of(design)
+    if of_kind.joints != "output_pins" and friction.output_pins is not None:
         raise ValueError(f"Friction.output_pins: must be None for a {kind}; it has no output pins")
-    if not own.supports:
+    if not of_kind.supports:
         if friction.support_bearings is not None:
             raise ValueError(
                 f"Friction.support_bearings: must be None for a {kind}; give support_bearing_moment for its shaft"

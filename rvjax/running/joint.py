@@ -8,14 +8,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.compile_cache import ONCE, quick
-from rvjax._jax.varying import scan
+from rvjax._jax.kernels import scan
+from rvjax._jax.programs import ONCE, quick
 from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import Friction, RVReducer
 from rvjax.errors import RVErrors
 from rvjax.life import TurnPlan
-from rvjax.loaded import Case, compliance, equilibria, forces, named, turned
+from rvjax.loaded import Case, compliance, equilibria, forces, named_forces, output_rotation
 from rvjax.records import Array, PyTree, Record, Scalar, concrete, field, quantity, record
 from rvjax.running.inputs import Call, check_call, entered, kind_of
 from rvjax.running.losses import around, bearing_moments, ended, ring_slip, worked
@@ -73,14 +73,14 @@ def _hysteresis(plan: TurnPlan, design: PyTree, errors: PyTree, friction: Fricti
     signs = jnp.asarray([-1.0, 1.0], read.torque.dtype)
 
     def take(case: Case, q: jax.Array, carries: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return turned(layout, case, q), _sliding(plan, call, case, q, carries)
+        return output_rotation(layout, case, q), _sliding(plan, call, case, q, carries)
 
     def under(torque: jax.Array, _: None) -> tuple[jax.Array, tuple[jax.Array, jax.Array, SolveInfo]]:
         """Both signs of a torque; the second pass needs the friction of the first. One loop compiles once."""
-        found = equilibria(layout, read, signs * torque, read.angle[None], take)
-        error, resisting = found.taken
-        own = call.friction.static_factor * (call.friction.output_drag + resisting[0, 0])
-        return own, (own, error[0], jax.tree.map(lambda x: x[0], found.info))
+        solution = equilibria(layout, read, signs * torque, read.angle[None], take)
+        error, resisting = solution.taken
+        threshold = call.friction.static_factor * (call.friction.output_drag + resisting[0, 0])
+        return threshold, (threshold, error[0], jax.tree.map(lambda x: x[0], solution.info))
 
     passes = scan(under, jnp.zeros_like(read.torque), None, length=2)[1]
     (torque, _), (_, angle), infos = passes
@@ -95,13 +95,13 @@ def _sliding(plan: TurnPlan, call: Call, case: Case, q: jax.Array, carries: jax.
     read, layout, friction = call.read, plan.layout, call.friction
     unit = jnp.asarray(np.eye(layout.unknowns)[layout.carried], q.dtype)
     mode = compliance(layout, case.system, q, unit)
-    mode = mode / turned(layout, case, mode)
+    mode = mode / output_rotation(layout, case, mode)
     held = kind_of(read.design).held(layout, read, mode)
     at = forces(layout, case.system, q)
     slip = _ring_slip(call, case, mode[: layout.inner].reshape(layout.discs, 3), held.discs)
     slip -= held.ideal * ring_slip(call, case)
     total = friction.ring_pins * jnp.sum(at.pins * jnp.abs(slip))
-    of_names = named(layout, read, case, at)
+    of_names = named_forces(layout, read, case, at)
     loads = (jnp.where(carries, force, 0) for force in (of_names.disc_bearing, of_names.support_bearing))
     turns = {
         "arm_bearings": held.discs[:, None] - held.cranks[None],
@@ -207,7 +207,7 @@ def _joint(
     input_angle: Scalar,
 ) -> Joint:
     call = entered(plan, design, errors, friction, rated_torque, angle=input_angle)
-    own, ratio, rated = call.friction, design.ratio, call.read.torque
+    unit_friction, ratio, rated = call.friction, design.ratio, call.read.torque
     held_under = rated * jnp.asarray(SHARES, rated.dtype)
     turn = around(plan, call, jnp.stack([jnp.zeros_like(rated), rated, -rated]), held=held_under)
     unloaded, forward, backward = (turn.mean(torque) for torque in range(3))
@@ -222,10 +222,10 @@ def _joint(
         half_backlash=(less - more) / 2,
         stiffness=0.5 * rated / (half - full),
         damping=None if damping is None else jnp.asarray(damping, rated.dtype),
-        input_friction=unloaded - own.output_drag,
-        output_friction=own.output_drag,
-        input_viscous=ratio**2 * own.input_viscous,
-        output_viscous=own.output_viscous,
+        input_friction=unloaded - unit_friction.output_drag,
+        output_friction=unit_friction.output_drag,
+        input_viscous=ratio**2 * unit_friction.input_viscous,
+        output_viscous=unit_friction.output_viscous,
         forward_loss=driven,
         backward_loss=driving,
         mu_avg=(lost + held) / 2,

@@ -9,13 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.compile_cache import quick
+from rvjax._jax.programs import quick
 from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import Friction, RVReducer
 from rvjax.errors import RVErrors
 from rvjax.life import TurnPlan, magnitude, shared, tapered
-from rvjax.loaded import Case, equilibria, forces, named, turned
+from rvjax.loaded import Case, equilibria, forces, named_forces, output_rotation
 from rvjax.records import Array, PyTree, Record, Scalar, field, record
 from rvjax.running.inputs import Call, check_call, entered, kind_of
 from rvjax.status import SolveInfo, Status, succeeded, worst
@@ -93,22 +93,22 @@ def around(
 
     def take(case: Case, q: jax.Array, carries: jax.Array) -> dict[str, jax.Array]:
         at = forces(layout, case.system, q)
-        of_names = named(layout, read, case, at)
+        of_names = named_forces(layout, read, case, at)
         sums = {"ring_pins": jnp.sum(at.pins * jnp.abs(ring_slip(call, case))), kind.joints: jnp.sum(at.joints)}
         arm, support = (jnp.where(carries, force, 0) for force in (of_names.disc_bearing, of_names.support_bearing))
         sums = {name: jnp.where(carries, value, 0) for name, value in sums.items()}
         sums |= {name: jnp.sum(value) for name, value in bearing_moments(call, arm, support).items()}
-        return sums if held is None else sums | {_TURNED: turned(layout, case, q)}
+        return sums if held is None else sums | {_TURNED: output_rotation(layout, case, q)}
 
     angles = plan.input_angles(read.design, read.torque.dtype)
     if held is None:
-        found = equilibria(layout, read, torques, angles, take, start, near=plan.near)
+        solution = equilibria(layout, read, torques, angles, take, start, near=plan.near)
     else:
         every = jnp.append(angles, jnp.broadcast_to(read.angle, held.shape[:1]))
         rows = jnp.concatenate([jnp.broadcast_to(torques, (plan.samples, len(torques))), held])
         follows = np.isin(np.arange(len(every)), np.arange(1, plan.samples)) if plan.near else False
-        found = equilibria(layout, read, rows, every, take, near=follows)
-    taken = {name: value[: plan.samples] for name, value in found.taken.items()}
+        solution = equilibria(layout, read, rows, every, take, near=follows)
+    taken = {name: value[: plan.samples] for name, value in solution.taken.items()}
     cycloid, cranks = read.design.cycloid, read.design.counts["cranks"]
     slip = jnp.asarray(kind.joint_slip(read.design, read.eccentricity), torques.dtype)
     rates = {
@@ -130,9 +130,9 @@ def around(
         viscous=friction.output_viscous + ratio**2 * friction.input_viscous,
         static_factor=friction.static_factor,
         ratio=ratio,
-        info=found.info,
-        displacements=found.displacements,
-        held=None if held is None else found.taken[_TURNED][plan.samples :],
+        info=solution.info,
+        displacements=solution.displacements,
+        held=None if held is None else solution.taken[_TURNED][plan.samples :],
     )
 
 
@@ -157,17 +157,17 @@ def bearing_moments(call: Call, arm: jax.Array, support: jax.Array) -> dict[str,
         support: crank on carrier, (c, 2) N.
     """
     friction, bearings = call.friction, call.bearings
-    found = dict[str, jax.Array]()
+    moments = dict[str, jax.Array]()
     if bearings is None:
-        return found
+        return moments
     if friction.arm_bearings is not None:
-        found["arm_bearings"] = friction.arm_bearings * magnitude(arm) * bearings.arm.pitch_diameter / 2
+        moments["arm_bearings"] = friction.arm_bearings * magnitude(arm) * bearings.arm.pitch_diameter / 2
     if friction.support_bearings is not None:
         assert bearings.support is not None
         force = shared(bearings, arm, support)
         load = magnitude(force) if bearings.preload is None else tapered(bearings, force).dynamic
-        found["support_bearings"] = friction.support_bearings * load * bearings.support.pitch_diameter / 2
-    return found
+        moments["support_bearings"] = friction.support_bearings * load * bearings.support.pitch_diameter / 2
+    return moments
 
 
 def ended(

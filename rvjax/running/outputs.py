@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.compile_cache import QUICK, quick
+from rvjax._jax.programs import QUICK, quick
 from rvjax.catalogue import part_class
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import Friction, RVReducer
@@ -39,28 +39,28 @@ class Turned(NamedTuple):
     status: jax.Array
 
 
-def supports_of(given: Any) -> tuple[str, str, str]:
+def supports_of(conditions: Any) -> tuple[str, str, str]:
     """Contact, carrier and sun.
 
     Args:
-        given: conditions.
+        conditions: conditions.
     """
-    own = ways(given)
-    return own["contact"], own["carrier"], own["sun"]
+    methods = ways(conditions)
+    return methods["contact"], methods["carrier"], methods["sun"]
 
 
-def turned(design: PyTree, errors: PyTree, given: Any, torques: tuple[Scalar, ...]) -> tuple[Turned, ...]:
+def turned(design: PyTree, errors: PyTree, conditions: Any, torques: tuple[Scalar, ...]) -> tuple[Turned, ...]:
     """Losses of a turn under each of some torques.
 
     Args:
         design: the reducer, with friction.
         errors: of its parts.
-        given: conditions.
+        conditions: conditions.
         torques: of the output, () N m each.
     """
-    supports = supports_of(given)
-    plan, friction = check_call("running", design, errors, None, supports, given.running_samples)
-    return _turned(plan, errors.stiffened(design), errors, friction, torques, given.output_speed or 0.0)
+    supports = supports_of(conditions)
+    plan, friction = check_call("running", design, errors, None, supports, conditions.running_samples)
+    return _turned(plan, errors.stiffened(design), errors, friction, torques, conditions.output_speed or 0.0)
 
 
 @quick(0)
@@ -69,82 +69,85 @@ def _turned(
 ) -> tuple[Turned, ...]:
     call = entered(plan, design, errors, friction, 0.0, speed=speed)
     under = jnp.stack([jnp.asarray(torque, call.read.torque.dtype) for torque in torques])
-    turn, found = around(plan, call, under), []
+    turn, turns = around(plan, call, under), []
     for k in range(len(torques)):
         statuses = turn.info.status[:, k]
         idle = (under[k] != 0) & jnp.any(statuses == Status.UNLOADED)
         values = dict(loss=turn.mean(k, call.speed), rest=turn.at_rest(k), places=turn.at(k))
         values |= dict(drag=turn.drag(call.speed), viscous=turn.viscous)
         values, info = ended(call, statuses, idle, values, worked(turn.info))
-        found.append(Turned(**values, status=info.status))
-    return tuple(found)
+        turns.append(Turned(**values, status=info.status))
+    return tuple(turns)
 
 
-def sign_of(given: Any) -> float:
+def sign_of(conditions: Any) -> float:
     """Direction of the motion.
 
     Args:
-        given: conditions.
+        conditions: conditions.
     """
-    return -1.0 if (given.output_speed or 0.0) < 0 else 1.0
+    return -1.0 if (conditions.output_speed or 0.0) < 0 else 1.0
 
 
-def torques_of(given: Any) -> tuple[float, float, float]:
+def torques_of(conditions: Any) -> tuple[float, float, float]:
     """Torques of the three sets: none, input drives, output drives.
 
     Args:
-        given: conditions.
+        conditions: conditions.
     """
-    size = sign_of(given) * abs(given.output_torque)
+    size = sign_of(conditions) * abs(conditions.output_torque)
     return 0.0, size, -size
 
 
-def idle(design: PyTree, errors: PyTree, given: Any) -> Turned:
+def idle(design: PyTree, errors: PyTree, conditions: Any) -> Turned:
     """Without load."""
-    return turned(design, errors, given, torques_of(given)[:1])[0]
+    return turned(design, errors, conditions, torques_of(conditions)[:1])[0]
 
 
-def forward(design: PyTree, errors: PyTree, given: Any) -> Turned:
+def forward(design: PyTree, errors: PyTree, conditions: Any) -> Turned:
     """Under the torque with which the input drives."""
-    return turned(design, errors, given, torques_of(given)[1:2])[0]
+    return turned(design, errors, conditions, torques_of(conditions)[1:2])[0]
 
 
-def backward(design: PyTree, errors: PyTree, given: Any) -> Turned:
+def backward(design: PyTree, errors: PyTree, conditions: Any) -> Turned:
     """Under the torque with which the output drives."""
-    return turned(design, errors, given, torques_of(given)[2:])[0]
+    return turned(design, errors, conditions, torques_of(conditions)[2:])[0]
 
 
-def together(sources: tuple[Source, ...], design: PyTree, errors: PyTree, given: Any) -> tuple[Turned, ...]:
+def together(sources: tuple[Source, ...], design: PyTree, errors: PyTree, conditions: Any) -> tuple[Turned, ...]:
     """Several sets in one loop.
 
     Args:
         sources: of `idle`, `forward` and `backward`.
         design: as in `turned`.
         errors: as in `turned`.
-        given: conditions.
+        conditions: conditions.
     """
-    own: dict[Source, float] = dict(zip((idle, forward, backward), torques_of(given)))
-    return turned(design, errors, given, tuple(own[source] for source in sources))
+    torque_of: dict[Source, float] = dict(zip((idle, forward, backward), torques_of(conditions)))
+    return turned(design, errors, conditions, tuple(torque_of[source] for source in sources))
 
 
-def driven_back(design: PyTree, errors: PyTree, given: Any) -> BackDriving:
+def driven_back(design: PyTree, errors: PyTree, conditions: Any) -> BackDriving:
     """Torque on the output that turns it in the direction of the motion."""
-    how: dict[str, Any] = dict(samples=given.running_samples) | ways(given)
-    how["direction"] = "forward" if sign_of(given) > 0 else "backward"
+    how: dict[str, Any] = dict(samples=conditions.running_samples) | ways(conditions)
+    how["direction"] = "forward" if sign_of(conditions) > 0 else "backward"
     return back_driving(errors.stiffened(design), errors, **how)
 
 
-def loop(design: PyTree, errors: PyTree, given: Any) -> Solved:
+def loop(design: PyTree, errors: PyTree, conditions: Any) -> Solved:
     """Largest of the probe angles, which divide a crank turn."""
-    design, step = errors.stiffened(design), 2 * np.pi * design.ratio / design.cycloid.pin_count / given.probe_angles
+    design, step = (
+        errors.stiffened(design),
+        2 * np.pi * design.ratio / design.cycloid.pin_count / conditions.probe_angles,
+    )
 
-    how: dict[str, Any] = dict(ways(given))
+    how: dict[str, Any] = dict(ways(conditions))
 
     def at(angle: jax.Array) -> tuple[jax.Array, jax.Array]:
-        found = hysteresis(design, errors, input_angle=angle, **how)
-        return found.width, found.info.status
+        solution = hysteresis(design, errors, input_angle=angle, **how)
+        return solution.width, solution.info.status
 
-    angles = given.input_angle + step * np.arange(given.probe_angles)
+    angles = conditions.input_angle + step * np.arange(conditions.probe_angles)
     width, status = jax.vmap(at)(jnp.asarray(angles, jnp.result_type(float, *jax.tree.leaves((design, errors)))))
     return jnp.max(width), worst(status)
 
@@ -168,43 +171,43 @@ DriveConditions = dataclasses.make_dataclass("DriveConditions", _conditions(OfDr
 """Of a single-stage drive."""
 
 
-def _work(given: Any) -> tuple[str, int]:
-    return "life", given.running_samples
+def _work(conditions: Any) -> tuple[str, int]:
+    return "life", conditions.running_samples
 
 
-def _efficiency(found: Turned, design: PyTree, given: Any) -> Solved:
-    return efficiency(found.loss, jnp.asarray(given.output_torque, found.loss.dtype)), found.status
+def _efficiency(of_turn: Turned, design: PyTree, conditions: Any) -> Solved:
+    return efficiency(of_turn.loss, jnp.asarray(conditions.output_torque, of_turn.loss.dtype)), of_turn.status
 
 
-def _backward(found: Turned, design: PyTree, given: Any) -> Solved:
-    return backward_efficiency(found.loss, jnp.asarray(given.output_torque, found.loss.dtype)), found.status
+def _backward(of_turn: Turned, design: PyTree, conditions: Any) -> Solved:
+    return backward_efficiency(of_turn.loss, jnp.asarray(conditions.output_torque, of_turn.loss.dtype)), of_turn.status
 
 
-def _starting(found: Turned, design: PyTree, given: Any) -> Solved:
-    return found.rest / abs(design.ratio), found.status
+def _starting(of_turn: Turned, design: PyTree, conditions: Any) -> Solved:
+    return of_turn.rest / abs(design.ratio), of_turn.status
 
 
-def _no_load(found: Turned, design: PyTree, given: Any) -> Solved:
-    return found.loss / abs(design.ratio), found.status
+def _no_load(of_turn: Turned, design: PyTree, conditions: Any) -> Solved:
+    return of_turn.loss / abs(design.ratio), of_turn.status
 
 
-def _back_driving(found: BackDriving, design: PyTree, given: Any) -> Solved:
-    return found.torque, found.info.status
+def _back_driving(start: BackDriving, design: PyTree, conditions: Any) -> Solved:
+    return start.torque, start.info.status
 
 
-def _power(found: Turned, design: PyTree, given: Any) -> Solved:
-    return abs(given.output_speed) * found.loss, found.status
+def _power(of_turn: Turned, design: PyTree, conditions: Any) -> Solved:
+    return abs(conditions.output_speed) * of_turn.loss, of_turn.status
 
 
-def _set_of(given: Any) -> tuple[Source, ...]:
+def _set_of(conditions: Any) -> tuple[Source, ...]:
     """The set of the torque of the conditions."""
-    return (forward,) if given.output_torque * sign_of(given) >= 0 else (backward,)
+    return (forward,) if conditions.output_torque * sign_of(conditions) >= 0 else (backward,)
 
 
-def _refusing(name: str, own: Callable[[Any], None] | None = None) -> Callable[[PyTree, Any], None]:
-    """Check the parts of a design and its friction, then run the check `own` of the conditions."""
+def _refusing(name: str, check: Callable[[Any], None] | None = None) -> Callable[[PyTree, Any], None]:
+    """Check the parts of a design and its friction, then run the check `check` of the conditions."""
 
-    def refuse(design: PyTree, given: Any) -> None:
+    def refuse(design: PyTree, conditions: Any) -> None:
         if design.friction is None:
             raise ValueError(f"design.friction is missing: {name} needs it")
         for part in ("stiffness", "contact"):
@@ -212,20 +215,20 @@ def _refusing(name: str, own: Callable[[Any], None] | None = None) -> Callable[[
                 cls = part_class(type(design), part)
                 keys = ", ".join(f.name for f in dataclasses.fields(cls) if f.default is dataclasses.MISSING)
                 raise ValueError(f"design.{part} is missing: {name} needs it, with {keys}")
-        check_call(name, design, design.error_record(), None, supports_of(given), given.running_samples)
-        if own is not None:
-            own(given)
+        check_call(name, design, design.error_record(), None, supports_of(conditions), conditions.running_samples)
+        if check is not None:
+            check(conditions)
 
     return refuse
 
 
-def _loaded(given: Any) -> None:
-    if given.output_torque == 0:
+def _loaded(conditions: Any) -> None:
+    if conditions.output_torque == 0:
         raise ValueError("conditions.output_torque = 0 N m: must not be 0; an efficiency needs a torque")
 
 
-def _moving(given: Any) -> None:
-    if given.output_speed == 0:
+def _moving(conditions: Any) -> None:
+    if conditions.output_speed == 0:
         raise ValueError("conditions.output_speed = 0 rad/s: must not be 0")
 
 

@@ -63,11 +63,11 @@ def numbers(joint: PyTree) -> dict[str, float | None]:
         ValueError: one of them is not finite.
     """
     given: dict[str, Any] = {name: getattr(joint, name) for name in units(joint)}
-    found = {name: None if value is None else float(value) for name, value in given.items()}
-    bad = [name for name, value in found.items() if value is not None and not math.isfinite(value)]
+    values = {name: None if value is None else float(value) for name, value in given.items()}
+    bad = [name for name, value in values.items() if value is not None and not math.isfinite(value)]
     if bad:
-        raise ValueError(f"{bad[0]} = {found[bad[0]]}: must be finite; the file is not written")
-    return found
+        raise ValueError(f"{bad[0]} = {values[bad[0]]}: must be finite; the file is not written")
+    return values
 
 
 def with_inertia(joint: PyTree, form: str) -> dict[str, float]:
@@ -80,15 +80,15 @@ def with_inertia(joint: PyTree, form: str) -> dict[str, float]:
     Raises:
         ValueError: an inertia is missing, or a number is not finite.
     """
-    found = numbers(joint)
+    values = numbers(joint)
     options = {"rotor_inertia": "--input-inertia", "output_inertia": "--output-inertia"}
     for name, option in options.items():
-        value = found[name]
+        value = values[name]
         if value is None:
             raise ValueError(f"design.inertia is missing: {form} needs {name}; give [design.inertia] or {option}")
         if value <= 0:
             raise ValueError(f"{name} = {value:g} kg m2: must be positive")
-    return {name: 0.0 if value is None else value for name, value in found.items()}
+    return {name: 0.0 if value is None else value for name, value in values.items()}
 
 
 def digits(value: float) -> str:
@@ -130,26 +130,26 @@ def as_mjcf(joint: PyTree, header: Header) -> str:
     Raises:
         ValueError: an inertia is missing, or a number is not finite.
     """
-    found = with_inertia(joint, "MJCF")
-    rotor, output = found["rotor_inertia"], found["output_inertia"]
-    step = STEPS / _frequency(found)
+    values = with_inertia(joint, "MJCF")
+    rotor, output = values["rotor_inertia"], values["output_inertia"]
+    step = STEPS / _frequency(values)
 
     root = ElementTree.Element("mujoco", model=header.study)
     _add(root, "compiler", angle="radian", boundmass="0", boundinertia="0")
     _add(root, "option", gravity="0 0 0", timestep=digits(step), integrator="implicitfast")
     custom = _add(root, "custom")
     for name in NUMBERS:
-        _add(custom, "numeric", name=name, data=digits(found[name]))
+        _add(custom, "numeric", name=name, data=digits(values[name]))
     world = _add(root, "worldbody")
-    _body(world, "rotor", rotor, found["input_viscous"], found["input_friction"])
-    _body(world, "output", output, found["output_viscous"], found["output_friction"])
+    _body(world, "rotor", rotor, values["input_viscous"], values["input_friction"])
+    _body(world, "output", output, values["output_viscous"], values["output_friction"])
 
-    half = digits(found["half_backlash"])
-    spring = dict(stiffness=digits(found["stiffness"]), damping=digits(found["damping"]))
+    half = digits(values["half_backlash"])
+    spring = dict(stiffness=digits(values["stiffness"]), damping=digits(values["damping"]))
     train = _add(_add(root, "tendon"), "fixed", name="train", springlength=f"-{half} {half}", **spring)
     _add(train, "joint", joint="output", coef="1")
     _add(train, "joint", joint="rotor", coef="-1")
-    _add(_add(root, "actuator"), "motor", name="motor", joint="rotor", gear=digits(found["ratio"]))
+    _add(_add(root, "actuator"), "motor", name="motor", joint="rotor", gear=digits(values["ratio"]))
     ElementTree.indent(root)
     said = ("The control of the motor is the torque of the motor shaft in N m.", remark(joint))
     return header.xml((*MISSING, PROPORTIONAL), said) + ElementTree.tostring(root, encoding="unicode") + "\n"
@@ -166,9 +166,9 @@ def remark(joint: PyTree) -> str:
     return f"The timestep is {STEPS / natural:.2g} s: {why}. A larger one does not resolve its vibration."
 
 
-def _frequency(found: dict[str, float]) -> float:
+def _frequency(values: dict[str, float]) -> float:
     """Of rotor and output on the stiffness of the train, rad/s."""
-    return math.sqrt(found["stiffness"] * (1 / found["rotor_inertia"] + 1 / found["output_inertia"]))
+    return math.sqrt(values["stiffness"] * (1 / values["rotor_inertia"] + 1 / values["output_inertia"]))
 
 
 def _add(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:
@@ -177,8 +177,8 @@ def _add(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTre
 
 def _body(world: ElementTree.Element, name: str, inertia: float, viscous: float, friction: float) -> None:
     """A body on a hinge; its inertia is the armature of the joint."""
-    body, own = _add(world, "body", name=name), digits(NOTHING * inertia)
-    _add(body, "inertial", pos="0 0 0", mass=own, diaginertia=f"{own} {own} {own}")
+    body, mass = _add(world, "body", name=name), digits(NOTHING * inertia)
+    _add(body, "inertial", pos="0 0 0", mass=mass, diaginertia=f"{mass} {mass} {mass}")
     moving = dict(armature=digits(inertia), damping=digits(viscous), frictionloss=digits(friction))
     _add(body, "joint", name=name, type="hinge", axis="0 0 1", **moving)
 
@@ -226,38 +226,38 @@ def as_modelica(joint: PyTree, header: Header) -> str:
     Raises:
         ValueError: an inertia is missing, a number is not finite, or the reducer is self-locking under load.
     """
-    found = with_inertia(joint, "Modelica")
-    rows = loss_table(found)
+    values = with_inertia(joint, "Modelica")
+    rows = loss_table(values)
     written = ";\n      ".join(", ".join(digits(number) for number in row) for row in rows)
     return MODEL.format(
         comment="\n".join(f"// {line}" for line in header.lines(MISSING)),
         name="Reducer_" + re.sub(r"\W", "_", header.study, flags=re.ASCII),
-        rotor=digits(found["rotor_inertia"] / found["ratio"] ** 2),
-        ratio=digits(found["ratio"]),
+        rotor=digits(values["rotor_inertia"] / values["ratio"] ** 2),
+        ratio=digits(values["ratio"]),
         table=f"[{written}]",
-        stiffness=digits(found["stiffness"]),
-        damping=digits(found["damping"]),
-        backlash=digits(2 * found["half_backlash"]),
-        output=digits(found["output_inertia"]),
-        viscous=digits(found["output_viscous"]),
-        friction=digits(found["output_friction"]),
+        stiffness=digits(values["stiffness"]),
+        damping=digits(values["damping"]),
+        backlash=digits(2 * values["half_backlash"]),
+        output=digits(values["output_inertia"]),
+        viscous=digits(values["output_viscous"]),
+        friction=digits(values["output_friction"]),
         library=LIBRARY,
     )
 
 
-def loss_table(found: dict[str, float]) -> list[list[float]]:
+def loss_table(values: dict[str, float]) -> list[list[float]]:
     """Rows of the table of losses: speed of the input, two efficiencies, two friction torques at the input.
 
     The input torque of the gear is (T + D + L |T|)/i, with L of the direction of the power. The friction D at the
     output grows with the speed; two rows give its line.
 
     Args:
-        found: numbers of the joint model.
+        values: numbers of the joint model.
 
     Raises:
         ValueError: no torque on the output turns the input.
     """
-    ratio, forward, backward = abs(found["ratio"]), found["forward_loss"], found["backward_loss"]
+    ratio, forward, backward = abs(values["ratio"]), values["forward_loss"], values["backward_loss"]
     if backward >= 1:
         raise ValueError(
             f"backward_loss = {backward:.4g}: must be below 1; LossyGear of Modelica has no self-locking reducer"
@@ -265,7 +265,7 @@ def loss_table(found: dict[str, float]) -> list[list[float]]:
     driving, driven = 1 / (1 + forward), 1 - backward
     rows = []
     for speed in (0.0, 1.0):  # of the output, rad/s
-        friction = (found["input_friction"] + found["input_viscous"] * speed) / ratio
+        friction = (values["input_friction"] + values["input_viscous"] * speed) / ratio
         rows.append([speed * ratio, driving, driven, driving * friction, friction / driven])
     return rows
 
@@ -285,7 +285,7 @@ def as_urdf(joint: PyTree, header: Header) -> str:
     Raises:
         ValueError: a number is not finite.
     """
-    found = {name: value or 0.0 for name, value in numbers(joint).items()}
+    values = {name: value or 0.0 for name, value in numbers(joint).items()}
     given = numbers(joint)["output_inertia"]
     inertia = LINK if given is None else given
 
@@ -300,7 +300,7 @@ def as_urdf(joint: PyTree, header: Header) -> str:
     _add(hinge, "parent", link="base")
     _add(hinge, "child", link="output_link")
     _add(hinge, "axis", xyz="0 0 1")
-    friction, damping = (found[f"input_{name}"] + found[f"output_{name}"] for name in ("friction", "viscous"))
+    friction, damping = (values[f"input_{name}"] + values[f"output_{name}"] for name in ("friction", "viscous"))
     _add(hinge, "dynamics", friction=digits(friction), damping=digits(damping))
 
     train = _add(root, "transmission", name="train")
@@ -308,7 +308,7 @@ def as_urdf(joint: PyTree, header: Header) -> str:
     _add(_add(train, "joint", name="output"), "hardwareInterface").text = INTERFACE
     motor = _add(train, "actuator", name="motor")
     _add(motor, "hardwareInterface").text = INTERFACE
-    _add(motor, "mechanicalReduction").text = digits(found["ratio"])
+    _add(motor, "mechanicalReduction").text = digits(values["ratio"])
     ElementTree.indent(root)
     said = "Replace the mass of output_link" + (" and its inertia" if given is None else "")
     said += " by the values of the driven link: they are placeholders."

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import models
-from rvjax._jax.compile_cache import Options
+from rvjax._jax.programs import Options
 from rvjax.errors import described, read_by
 from rvjax.measured import Conditions
 from rvjax.outputs import Observation, torque_of

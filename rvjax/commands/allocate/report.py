@@ -10,7 +10,6 @@ import numpy as np
 from rvjax._ground.files import versions
 from rvjax.commands.allocate import kept
 from rvjax.commands.allocate.answer import Answer
-from rvjax.commands.allocate.compute import Computed
 from rvjax.commands.allocate.figures import figures
 from rvjax.commands.allocate.influence import IN_FILE, NOT_IN_FILE, influence_tables
 from rvjax.commands.allocate.inputs import Inputs
@@ -34,7 +33,6 @@ from rvjax.render import (
     PAGE,
     Cell,
     Column,
-    Figure,
     Interval,
     Limits,
     Note,
@@ -53,7 +51,7 @@ MOVED = "middles moved"
 """Row with the cost of moved mid-points: with it, the column of costs adds up to the total."""
 
 
-def report(inputs: Inputs, found: Computed | None) -> Report:
+def report(inputs: Inputs, found: Answer | None) -> Report:
     """Report on a result, computed or read from a results folder.
 
     Args:
@@ -61,7 +59,7 @@ def report(inputs: Inputs, found: Computed | None) -> Report:
         found: its result, None where a folder keeps it.
     """
     if found is not None:
-        return report_on(found.answer, found.drawn)
+        return report_on(found)
     place = inputs.kept
     assert place is not None
     said = f"Unchanged since {place} was written: this is its stored result. --fresh replaces it."
@@ -75,12 +73,11 @@ def report(inputs: Inputs, found: Computed | None) -> Report:
     )
 
 
-def report_on(answer: Answer, drawn: tuple[Figure, ...] = ()) -> Report:
+def report_on(answer: Answer) -> Report:
     """Report on a result.
 
     Args:
         answer: the result.
-        drawn: its figures, none: made here.
     """
     certificate = answer.allocation.certificate
     fresh = f"Certificate: {certificate.samples:,} independent units, {failures_text(certificate)}"
@@ -93,7 +90,7 @@ def report_on(answer: Answer, drawn: tuple[Figure, ...] = ()) -> Report:
             requirement_table(answer),
             *unlimited_tables(answer.unlimited, answer.study),
             Note("\n".join([fresh, *limits_of_the_answer(answer)])),
-            *(drawn or figures(answer)),
+            *figures(answer),
         ),
         status=answer.allocation.status,
         ok=answer.allocation.status == "OPTIMAL",

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rvjax import study
-from rvjax._jax.marked import moving
+from rvjax._jax.solved_state import moving
 from rvjax.commands.allocate import kept
 from rvjax.commands.forecast import forewarn
 from rvjax.commands.speak import share_cores

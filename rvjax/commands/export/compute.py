@@ -9,7 +9,7 @@ import numpy as np
 import rvjax
 from rvjax import running
 from rvjax._ground import progress
-from rvjax._jax.compile_cache import QUICK
+from rvjax._jax.programs import QUICK
 from rvjax.commands.export.inputs import STATISTICS, Inputs
 from rvjax.commands.speak import READING, WRITING
 from rvjax.population import Population, drawn, root_key

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rvjax import study, tolerances
-from rvjax._jax.blocks import CHUNK
+from rvjax._jax.sizes import CHUNK
 from rvjax.tolerances import Folder, Processes, Statistics, UnitFile, take
 
 _STUDY = "study"

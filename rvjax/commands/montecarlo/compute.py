@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from rvjax import tolerances
 from rvjax._ground import progress
-from rvjax._jax.blocks import CHUNK
+from rvjax._jax.sizes import CHUNK
 from rvjax.commands.forecast import forewarn, unit_seconds
 from rvjax.commands.montecarlo import batch
 from rvjax.commands.montecarlo.inputs import Inputs

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rvjax import life, loaded
-from rvjax._jax.compile_cache import QUICK
+from rvjax._jax.programs import QUICK
 from rvjax.population import Population, drawn, root_key
 from rvjax.records import Design, PyTree, Record, field, record, text
 from rvjax.response import per_response
@@ -134,20 +134,6 @@ class _Question(NamedTuple):
             duty := life.Duty(*np.asarray(given.duty, float).T),
             float(np.max(np.abs(duty.output_torque))),
         )
-
-
-def begin_lives(study: Study, tolerances: PyTree) -> None:
-    """Begin the programs of `lives_if_any`, see `Compiled.begin`.
-
-    Args:
-        study: as there.
-        tolerances: as there.
-    """
-    if (asked := _Question.of(study, tolerances)) is not None:
-        rated, turned, population, duty, torque = asked
-        none = np.full((population.numbers, UNITS + 1), np.nan)  # units that the model does not solve
-        _of_units.begin(rated, population, none, duty)
-        _of_units.begin(turned, population, none[:, : TURNED + 1], torque)
 
 
 def lives_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> Lives | None:

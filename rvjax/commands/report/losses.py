@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from rvjax._jax.compile_cache import QUICK
+from rvjax._jax.programs import QUICK
 from rvjax.population import Population, drawn, root_key
 from rvjax.records import Design, PyTree, Record, field, record, text
 from rvjax.response import per_response
@@ -113,18 +113,6 @@ class _Question(NamedTuple):
         size = sign_of(given) * abs(given.output_torque)
         torques = (*(size * share for share in TORQUES if size), given.output_torque)
         return _Question(_Turned(study.design, given, torques), Population.of(tolerances))
-
-
-def begin_losses(study: Study, tolerances: PyTree, *, units: int = UNITS) -> None:
-    """Begin the program of `losses_if_any`, see `Compiled.begin`.
-
-    Args:
-        study: as there.
-        tolerances: as there.
-        units: as there.
-    """
-    if (asked := _Question.of(study, tolerances)) is not None:
-        _of_units.begin(*asked, np.full((asked.population.numbers, units + 1), np.nan))
 
 
 def losses_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> UnitLosses | None:

@@ -85,13 +85,13 @@ def page_of(found: Shown, source: str, *, date: str = "") -> str:
         date: of the result.
     """
     answer, study = found.answer, found.answer.study
-    drawn = {figure.name: figure for figure in found.drawn or figures(answer)}
+    drawn = {figure.name: figure for figure in figures(answer)}
     unlimited = unlimited_tables(answer.unlimited, answer.study)
     result = Section("Result", (requirement_table(answer), *unlimited, *tolerance_tables(answer)))
     sections: list[Content] = [result, _requirements(answer, drawn), _tolerances(drawn)]
     sections += [live.block(found.surrogate, answer)] if found.surrogate else []
     sections += [live.without(source)] if study.costly and not found.surrogate else []
-    sections += [found.design or design_section(study), _influence(answer, drawn)]
+    sections += [design_section(study), _influence(answer, drawn)]
     sections += [section for section in (found.budget, found.bearings, found.friction) if section]
     sections += [_worst(answer, drawn), _levels(answer)]
     about = dict(study=study.name, author=study.about.author, revision=study.about.revision, computed=date)

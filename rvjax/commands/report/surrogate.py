@@ -13,7 +13,6 @@ those of the certificate (Deville and Sarndal 1992). What is left is measured at
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, Self
 
@@ -175,13 +174,10 @@ def surrogate(
 
 
 def _fits(regions: Sequence[Region]) -> tuple[dict[str, np.ndarray], dict[str, Columns]]:
-    """Values and functions of all outputs. The host works on one part while the devices solve units of another."""
+    """Values and functions of all outputs."""
     base, columns = dict[str, np.ndarray](), dict[str, Columns]()
-    if len(regions) > 1:
-        assert regions[0].sample.places  # before the threads, which share them
-    with ThreadPoolExecutor(len(regions)) as threads:
-        for own_base, own_columns in threads.map(Region.fitted, regions):
-            base, columns = base | own_base, columns | own_columns
+    for own_base, own_columns in map(Region.fitted, regions):
+        base, columns = base | own_base, columns | own_columns
     return base, columns
 
 
@@ -283,13 +279,9 @@ def _own_checks(
     """Compare the surrogate with the responses of some of its own units, at points of the region."""
     place = np.arange(0, len(found.weights), -(-len(found.weights) // COMPARED))
     ours, some, checks = found.of_units(place), np.flatnonzero(good)[place], []
-    with ThreadPoolExecutor(len(regions)) as threads:  # the devices solve units while the host draws the next ones
-        begun = []
-        for _, x in places:
-            errors = regions[0].sample.errors(x, some)
-            begun.append([threads.submit(region.at, x, some, errors) for region in regions])
-    for (where, x), parts_of_x in zip(places, begun):
-        exact = {name: row for part in parts_of_x for name, row in part.result().items()}
+    for where, x in places:
+        errors = regions[0].sample.errors(x, some)
+        exact = {name: row for region in regions for name, row in region.at(x, some, errors).items()}
         here = np.isfinite(np.stack(list(exact.values()))).all(axis=0)
         figures = {}
         for name, limits in _limited(answer).items():
