@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from rvjax._ground import progress
+from rvjax.base import progress
 from rvjax.commands.allocate import Answer, answer, phases_of, seconds_of_units
 from rvjax.commands.budget import budget_if_any, section_on
 from rvjax.commands.report import surrogate as behind
