@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rvjax._ground.files import PARTIAL, write_atomically
+from rvjax.base.files import PARTIAL, write_atomically
 from rvjax.status import Status
 from rvjax.study import StudyError
 from rvjax.study.reader import EMBEDDED, parse_study

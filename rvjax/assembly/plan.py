@@ -7,7 +7,6 @@ from collections.abc import Hashable, Mapping
 
 import numpy as np
 
-from rvjax._ground.choices import choose
 from rvjax._jax.checks import checked
 from rvjax.assembly.alternation import best_so_far
 from rvjax.assembly.choice import CLOSE, EXACT, chosen
@@ -16,6 +15,7 @@ from rvjax.assembly.on_demand import MOST_VALUED, PILOTS, OnDemand, chosen_on_de
 from rvjax.assembly.outliers import UnusualPart, outliers
 from rvjax.assembly.parts import Kind, known
 from rvjax.assembly.supply import Supply, as_they_lie, draw, in_order, left_over, supply_of
+from rvjax.base.words import choose
 from rvjax.population import deviate_of, score_interval
 from rvjax.tolerances import Estimate, Requirement
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from rvjax import commands as listed
-from rvjax._ground.lines import refilled, terminal_width
+from rvjax.base.words import refilled, terminal_width
 from rvjax.commands import EXIT_BAD_INPUT, EXIT_OK, may_use_gpu, run, say
 
 
@@ -33,8 +33,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return int(stop.code or 0)
     worker = getattr(options, "worker", None)
     _prepare(gpu=may_use_gpu(options.run.args[0], int(worker[2]) if worker else getattr(options, "processes", 1)))
-    from rvjax._ground.frames import MissingExtra
-    from rvjax._ground.progress import ended_by
+    from rvjax.base.frames import MissingExtra
+    from rvjax.base.progress import ended_by
 
     try:
         with ended_by(signal.SIGTERM, _Terminated()):

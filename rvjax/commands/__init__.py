@@ -4,7 +4,7 @@ Its `command.toml` holds its options and help; `inputs.py` reads options, study 
 `report.py` says what was found. `table` in `command.toml` names a table of study files that the command reads.
 """
 
-from rvjax._ground.sections import Reader
+from rvjax.base.sections import Reader
 from rvjax.commands.run import about as about, module as module, run as run
 from rvjax.commands.speak import (
     EXIT_BAD_INPUT as EXIT_BAD_INPUT,

@@ -12,8 +12,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from rvjax._ground import progress
-from rvjax._ground.lines import terminal_width, wrapped
+from rvjax.base import progress
+from rvjax.base.words import terminal_width, wrapped
 from rvjax.commands.speak import EXIT_NO_ANSWER, EXIT_OK, READING, WRITING, say
 
 
@@ -47,7 +47,7 @@ def run(name: str, options: argparse.Namespace) -> int:
         name: of the command.
         options: as parsed.
     """
-    from rvjax._ground.files import write_atomically  # the help does not wait for NumPy
+    from rvjax.base.files import write_atomically  # the help does not wait for NumPy
     from rvjax.render import plain, write_files
 
     inputs = module(name, "inputs").inputs(options)

@@ -9,8 +9,8 @@ from collections.abc import Hashable, Mapping
 
 import numpy as np
 
-from rvjax._ground.choices import choose
 from rvjax._jax.checks import checked
+from rvjax.base.words import choose
 from rvjax.compensation.correction import Correction, rated, saved_by
 
 SIDES = ("input", "output")

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._ground.choices import choose, unknown
+from rvjax.base.words import choose, unknown
 from rvjax.dynamics.assembly import Lumped, circle, spring_table
 from rvjax.dynamics.modes import Key, ModalSector
 from rvjax.dynamics.symmetry import is_split, is_symmetric

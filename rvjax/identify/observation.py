@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._ground.linear import svd
 from rvjax._jax.checks import checked
+from rvjax.base.linear import svd
 from rvjax.records import Array, PyTree
 
 

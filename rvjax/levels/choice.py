@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from rvjax import models
-from rvjax._ground.choices import unknown
+from rvjax.base.words import unknown
 from rvjax.levels.table import Model, Table, stored
 from rvjax.outputs import Reading, Source, torque_of
 from rvjax.population import Tolerance

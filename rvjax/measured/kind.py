@@ -8,7 +8,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from rvjax._ground.columns import Table
+from rvjax.base.columns import Table
 from rvjax.units import rpm
 
 DIRECTIONS = {"forward": 1, "backward": -1}

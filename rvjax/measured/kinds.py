@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rvjax._ground.columns import Table
+from rvjax.base.columns import Table
 from rvjax.measured.branches import branches
 from rvjax.measured.curve_analysis import findings, judge
 from rvjax.measured.hysteresis import about, used

@@ -18,8 +18,8 @@ from typing import Any, ClassVar, Self, cast
 import jax
 import numpy as np
 
-from rvjax._ground.choices import meant
 from rvjax._jax.checks import checked
+from rvjax.base.words import meant
 from rvjax.population.grades import it_width
 from rvjax.records import IN_ERROR_UNIT, Array, Record, Scalar, concrete, field, record, text
 from rvjax.units import parse

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from rvjax import status
-from rvjax._ground.choices import choose
+from rvjax.base.words import choose
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import Bearings, Friction, Inertia, RVReducer, expect
 from rvjax.errors import Errors

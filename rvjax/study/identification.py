@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rvjax import models
-from rvjax._ground.choices import unknown
+from rvjax.base.words import unknown
 from rvjax.measured import DIRECTIONS, KINDS, Kind
 from rvjax.outputs import Observation
 from rvjax.records import Design, PyTree

@@ -6,9 +6,9 @@ from importlib import resources
 from pathlib import Path
 
 from rvjax import models
-from rvjax._ground.choices import meant
-from rvjax._ground.sections import Reader, reader as sections_reader
 from rvjax._reducer.deviations import remind_of_precision
+from rvjax.base.sections import Reader, reader as sections_reader
+from rvjax.base.words import meant
 from rvjax.records import Design, PyTree
 from rvjax.running import OF_JOINT
 from rvjax.study.design import given_paths, parse_design

@@ -1,6 +1,6 @@
 """Forecast of an allocation: phases, solved units of each, seconds."""
 
-from rvjax._ground.progress import spelled
+from rvjax.base.progress import spelled
 from rvjax.commands.forecast import unit_seconds
 from rvjax.response import BLOCK
 from rvjax.study import Study

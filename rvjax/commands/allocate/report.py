@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rvjax._ground.files import versions
+from rvjax.base.files import versions
 from rvjax.commands.allocate import kept
 from rvjax.commands.allocate.answer import Answer
 from rvjax.commands.allocate.figures import figures

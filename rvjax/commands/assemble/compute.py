@@ -7,8 +7,8 @@ import dataclasses
 import warnings
 
 from rvjax import assembly
-from rvjax._ground import progress
 from rvjax.assembly import Plan, opening
+from rvjax.base import progress
 from rvjax.commands.assemble.inputs import Inputs
 from rvjax.commands.assemble.parts import REST, Bench, bench, table_of
 from rvjax.commands.speak import READING, WRITING

@@ -10,12 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._ground import columns
-from rvjax._ground.axes import axis_sizes
-from rvjax._ground.cells import MARKS, read_cells
-from rvjax._ground.encoding import guessed
-from rvjax._ground.numbers import number_of
-from rvjax._ground.repr import value_text
 from rvjax.assembly import (
     Kind,
     Machine,
@@ -27,6 +21,11 @@ from rvjax.assembly import (
     outliers,
     supply_of,
 )
+from rvjax.base import columns
+from rvjax.base.cells import MARKS, read_cells
+from rvjax.base.encoding import guessed
+from rvjax.base.fields import axis_sizes, value_text
+from rvjax.base.numbers import number_of
 from rvjax.commands.assemble.inputs import Assembly
 from rvjax.mounting import AXES, carried, disc_mountings, drawing
 from rvjax.records import PyTree

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import rvjax
-from rvjax._ground.files import versions
 from rvjax.assembly import Plan
+from rvjax.base.files import versions
 from rvjax.commands.assemble.compute import Assembled, Price
 from rvjax.commands.assemble.inputs import Inputs
 from rvjax.commands.assemble.parts import REST, unit_values

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from rvjax._ground.files import versions
+from rvjax.base.files import versions
 from rvjax.commands.budget.compute import Budget
 from rvjax.commands.budget.effects import LEVELS
 from rvjax.commands.budget.inputs import Inputs

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rvjax._ground.files import versions
-from rvjax._ground.progress import progress_bar
+from rvjax.base.files import versions
+from rvjax.base.progress import progress_bar
 from rvjax.commands.budget.effects import FEWEST, LEVELS, MOST, by_level, parts_of
 from rvjax.commands.cells import SHARE_MEANS, UNMOVED_MEANS, influence_share, slope_text, together_text
 from rvjax.population import Population

@@ -6,7 +6,7 @@ Tolerances of one result, certified under another study with the same errors and
 import dataclasses
 from dataclasses import dataclass
 
-from rvjax._ground import progress
+from rvjax.base import progress
 from rvjax.commands.compare.inputs import Inputs
 from rvjax.commands.compare.results import Topics, compared
 from rvjax.records import PyTree

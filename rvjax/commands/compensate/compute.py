@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rvjax._ground import progress
+from rvjax.base import progress
 from rvjax.commands.compensate.inputs import Inputs
 from rvjax.commands.speak import READING, WRITING
 from rvjax.compensation import Correction, Table, correction, table

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 import rvjax
-from rvjax._ground.files import versions
+from rvjax.base.files import versions
 from rvjax.commands import measurement
 from rvjax.commands.compensate.compute import Corrections, Curve, periodic
 from rvjax.commands.compensate.inputs import Inputs

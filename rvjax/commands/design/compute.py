@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import optimize
 
-from rvjax._ground import progress
+from rvjax.base import progress
 from rvjax.commands.design.inputs import Inputs
 from rvjax.commands.speak import READING, WRITING
 from rvjax.records import Array, PyTree

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from rvjax._ground.files import versions
+from rvjax.base.files import versions
 from rvjax.commands.cells import limits_data
 from rvjax.commands.design.compute import Designed, Point
 from rvjax.commands.design.prices import slope

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from markupsafe import Markup
 
-from rvjax._ground.lines import words
+from rvjax.base.words import words
 from rvjax.commands.cells import limit_text
 from rvjax.commands.design.compute import Designed
 from rvjax.commands.design.prices import nominal_limit, unit_of_number

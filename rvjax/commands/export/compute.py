@@ -8,8 +8,8 @@ import numpy as np
 
 import rvjax
 from rvjax import running
-from rvjax._ground import progress
 from rvjax._jax.programs import QUICK
+from rvjax.base import progress
 from rvjax.commands.export.inputs import STATISTICS, Inputs
 from rvjax.commands.speak import READING, WRITING
 from rvjax.population import Population, drawn, root_key

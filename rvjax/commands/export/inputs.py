@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rvjax import study
-from rvjax._ground.files import check_writable
+from rvjax.base.files import check_writable
 from rvjax.commands.speak import check_files
 from rvjax.records import PyTree
 from rvjax.running import FORMATS

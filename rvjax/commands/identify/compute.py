@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rvjax import identify
-from rvjax._ground import progress
+from rvjax.base import progress
 from rvjax.commands.identify.inputs import Inputs
 from rvjax.commands.speak import READING, WRITING
 from rvjax.measured import KINDS, Finding, foreign, judge

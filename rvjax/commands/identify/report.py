@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rvjax import identify
-from rvjax._ground.columns import place_of
-from rvjax._ground.files import versions
+from rvjax.base.columns import place_of
+from rvjax.base.files import versions
 from rvjax.commands import measurement
 from rvjax.commands.identify.compute import Identified
 from rvjax.commands.identify.figures import figures

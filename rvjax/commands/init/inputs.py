@@ -4,7 +4,7 @@ import argparse
 from dataclasses import dataclass
 from pathlib import Path
 
-from rvjax._ground.files import check_writable
+from rvjax.base.files import check_writable
 from rvjax.commands.speak import check_files
 
 

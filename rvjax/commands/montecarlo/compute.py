@@ -5,8 +5,8 @@ import dataclasses
 from dataclasses import dataclass
 
 from rvjax import tolerances
-from rvjax._ground import progress
 from rvjax._jax.sizes import CHUNK
+from rvjax.base import progress
 from rvjax.commands.forecast import forewarn, unit_seconds
 from rvjax.commands.montecarlo import batch
 from rvjax.commands.montecarlo.inputs import Inputs

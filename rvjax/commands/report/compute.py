@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from rvjax._ground import progress
+from rvjax.base import progress
 from rvjax.commands.allocate import Answer, answer, phases_of, seconds_of_units
 from rvjax.commands.budget import budget_if_any, section_on
 from rvjax.commands.report import surrogate as behind
@@ -12,7 +12,9 @@ from rvjax.commands.report.inputs import Inputs
 from rvjax.commands.report.lives import lives_if_any
 from rvjax.commands.report.losses import losses_if_any
 from rvjax.commands.speak import READING, tell, units_placed
+from rvjax.records import PyTree
 from rvjax.render import Section
+from rvjax.study import Study
 
 SLIDERS, SECTIONS, WRITING = "numbers behind the sliders", "sections of the page", "the page"
 
@@ -57,14 +59,17 @@ def compute(inputs: Inputs) -> Shown | None:
         found = inputs.answer or answer.answer(inputs.study, progress=not inputs.quiet)
         progress.begin(SLIDERS if inputs.sliders else SECTIONS)
         moved = behind.surrogate(found) if inputs.sliders else None
-        study, tolerances = inputs.study, found.allocation.tolerances
-        lives, losses = lives_if_any(study, tolerances), losses_if_any(study, tolerances)
-        budget = budget_if_any(study, tolerances)
+        bearings, friction, budget = _sections(inputs.study, found.allocation.tolerances)
         progress.begin(WRITING)
-    return Shown(
-        found,
-        moved,
-        section_on(budget) if budget else None,
+    return Shown(found, moved, budget, bearings, friction)
+
+
+def _sections(study: Study, tolerances: PyTree) -> tuple[Section | None, ...]:
+    """Sections on bearing lives, friction and the error budget."""
+    lives, losses = lives_if_any(study, tolerances), losses_if_any(study, tolerances)
+    budget = budget_if_any(study, tolerances)
+    return (
         bearing_section(lives, study) if lives else None,
         friction_section(losses, study) if losses else None,
+        section_on(budget) if budget else None,
     )

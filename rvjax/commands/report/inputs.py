@@ -7,7 +7,7 @@ from pathlib import Path
 
 import rvjax
 from rvjax import study
-from rvjax._ground.files import check_writable
+from rvjax.base.files import check_writable
 from rvjax.commands.allocate import FILE, Answer, expected, restored_from
 from rvjax.commands.forecast import forewarn
 from rvjax.commands.speak import check_files, share_cores

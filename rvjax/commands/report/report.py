@@ -8,7 +8,7 @@ import shlex
 import time
 
 from rvjax import levels, models
-from rvjax._ground.lines import words
+from rvjax.base.words import words
 from rvjax.commands.allocate import (
     FILE,
     Answer,
