@@ -23,7 +23,7 @@ from oracles import known_optima
 from oracles.known_optima import least, squares
 from oracles.linear_pair import COSTS, LIMIT, PAIR, closed_cost, linear, radius, two
 from oracles.responses import Failing, Linear
-from rvjax.commands.init.compute import written
+from rvjax.commands.init import written
 from rvjax.study import Study, load, parse_study
 from rvjax.tolerances import (
     CpkAtLeast,

@@ -20,7 +20,7 @@ from matplotlib.patches import Circle, PathPatch
 from matplotlib.path import Path as Outline
 
 from rvjax import catalogue, cli, models, published, study
-from rvjax.commands.init.compute import written
+from rvjax.commands.init import written
 from rvjax.designs import RVReducer
 from rvjax.plotting import drawings, drive
 from rvjax.units import mm, um

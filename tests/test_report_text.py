@@ -6,7 +6,6 @@ Oracle: the same numbers converted by hand.
 import dataclasses
 import io
 import math
-import threading
 from types import SimpleNamespace
 
 import jax.numpy as jnp
@@ -17,10 +16,10 @@ from matplotlib.axes import Axes
 
 from rvjax import Status
 from rvjax.commands import allocate
-from rvjax.commands.allocate.report import _Price, losses_of
-from rvjax.commands.cells import condition_text, evaluated, failures_text, price_text, share
+from rvjax.commands.allocate.tables import _Price, losses_of
 from rvjax.commands.montecarlo import report_on
 from rvjax.commands.report.worst_units import against_limit
+from rvjax.commands.sections.cells import condition_text, evaluated, failures_text, price_text, share
 from rvjax.outputs import Output
 from rvjax.population.estimates import Estimate
 from rvjax.render import Figure, saved
@@ -128,26 +127,6 @@ def test_plots_spell_units_as_the_page():
     (axes,) = drawn
     assert axes.get_xlabel() == "error (µm)" and axes.get_title() == "0.3 µm of 1 µs"
     assert axes.get_ylabel() == "humus (arcmin/µm)"
-
-
-def test_a_figure_that_is_begun_is_drawn_once_in_another_thread():
-    """`content` waits for it and raises its errors; the file is that of a figure drawn at once."""
-
-    def draw(of=3.0):
-        threads.append(threading.current_thread())
-        axes = plt.subplots()[1]
-        axes.plot([0, 1], [0, 6 / of])
-        return axes
-
-    threads = []
-    figure, alone, wrong = (Figure("x", "a", one) for one in (draw, draw, lambda: draw(0)))
-    for each in (figure, wrong):
-        each.begin("svg")
-    assert figure.content("svg") == figure.content("svg") == alone.content("svg")
-    with pytest.raises(ZeroDivisionError):
-        wrong.content("svg")
-    assert threads.count(threading.current_thread()) == 1 and len(threads) == 3
-    assert figure.content("png").startswith(b"\x89PNG") and threads[-1] is threading.current_thread()
 
 
 @pytest.mark.parametrize("form", ["png", "svg"])

@@ -9,8 +9,8 @@ import pytest
 from scipy.stats import binom
 
 from rvjax import models
-from rvjax.commands.allocate import whole
-from rvjax.commands.allocate.whole import unlimited_tables, unlimited_texts, whole_text
+from rvjax.commands.allocate import full_model_check
+from rvjax.commands.allocate.full_model_check import unlimited_tables, unlimited_texts, whole_text
 from rvjax.population import wilson
 from rvjax.study import load, parse_study
 
@@ -45,9 +45,9 @@ def replicates(truth, limit, count, control):
         errors = rng.standard_normal((8, MANY))
         values = truth(errors, rng)[:UNITS]
         given = values if control else rng.standard_normal(UNITS)
-        one = whole.Limited(lambda row: row - limit, given)
-        scores = whole.crossed(errors, [one], np.ones(UNITS, bool))
-        found.append(whole.stratified(values <= limit, *scores, confidence=0.95))
+        one = full_model_check.Limited(lambda row: row - limit, given)
+        scores = full_model_check.crossed(errors, [one], np.ones(UNITS, bool))
+        found.append(full_model_check.stratified(values <= limit, *scores, confidence=0.95))
     return found
 
 
@@ -77,10 +77,12 @@ def test_failed_units_count_as_rejects_and_strata_without_units_join():
     good = np.array([True] * 90 + [False] * 10)
     own = np.where(good, -3.0, 3.0)
     every = np.concatenate([np.full(60, -3.0), np.full(20, -1.0), np.full(20, 3.0)])[None]
-    found = whole.stratified(good, own, every, confidence=0.95)
+    found = full_model_check.stratified(good, own, every, confidence=0.95)
     assert found.value == pytest.approx(0.8)  # -1 joins -3: no unit is solved there
     assert found.lower < 0.8 < found.upper
-    nothing = whole.stratified(np.zeros(8, bool), np.full(8, -np.inf), np.full((4, 50), -np.inf), confidence=0.95)
+    nothing = full_model_check.stratified(
+        np.zeros(8, bool), np.full(8, -np.inf), np.full((4, 50), -np.inf), confidence=0.95
+    )
     assert nothing.value == 0 and nothing.upper > 0.2
 
 
@@ -92,8 +94,8 @@ def test_a_curve_predicts_its_peak_to_peak():
     values = np.ptp(curves, axis=1)
     own = {"values": values[:UNITS], "margin": lambda row: row - 3.0}
     right = [  # of the units on the side that is predicted
-        np.mean((whole.crossed(errors, [one], np.ones(UNITS, bool))[1][0] > 0) == (values > 3.0))
-        for one in (whole.Limited(**own, curves=curves[:UNITS]), whole.Limited(**own))
+        np.mean((full_model_check.crossed(errors, [one], np.ones(UNITS, bool))[1][0] > 0) == (values > 3.0))
+        for one in (full_model_check.Limited(**own, curves=curves[:UNITS]), full_model_check.Limited(**own))
     ]
     assert right[0] > 0.99 > 0.8 > right[1]
 
@@ -113,10 +115,10 @@ def faked(limit):
 
 
 def test_the_line_names_what_was_measured_and_what_was_not(study, monkeypatch):
-    monkeypatch.setattr(whole, "Response", faked(1.0))
-    found = whole.whole(study, study.tolerances)
+    monkeypatch.setattr(full_model_check, "Response", faked(1.0))
+    found = full_model_check.whole(study, study.tolerances)
     assert found.output == {"transmission_error": "loaded_transmission_error", "misfit": "misfit"}
-    assert found.unread == ("disc_runout",) and found.units == whole.UNITS and found.failed == 0
+    assert found.unread == ("disc_runout",) and found.units == full_model_check.UNITS and found.failed == 0
     assert found.share.lower <= found.share.value <= found.share.upper
     text = whole_text(found, study)
     assert text.startswith("On the whole reducer ") and "disc_runout (it has no place)" in text
@@ -137,13 +139,16 @@ def loaded_study(*changes):
 def test_what_a_loaded_study_does_not_limit_is_what_its_design_and_conditions_can_give():
     start = "[requirement.misfit]"
     pressure = (start, '[requirement.turn_pin_pressure]\nupper = "3000 MPa"\n' + start)
-    assert set(whole.not_limited(loaded_study()).outputs) == {"turn_pin_pressure", "arm_bearing_force"}
-    assert whole.not_limited(loaded_study(pressure)).outputs == ("arm_bearing_force",)
+    assert set(full_model_check.not_limited(loaded_study()).outputs) == {"turn_pin_pressure", "arm_bearing_force"}
+    assert full_model_check.not_limited(loaded_study(pressure)).outputs == ("arm_bearing_force",)
     with_duty = loaded_study((start, DUTY + start))
-    assert set(whole.not_limited(with_duty).outputs) == {"turn_pin_pressure", "arm_bearing_force", "life"}
+    assert set(full_model_check.not_limited(with_duty).outputs) == {"turn_pin_pressure", "arm_bearing_force", "life"}
     bare = with_duty.design.replace(bearings=None)
-    assert whole.not_limited(dataclasses.replace(with_duty, design=bare)).outputs == ("turn_pin_pressure",)
-    assert whole.not_limited(study_of("rv-40e-whole")) is None and whole.not_limited(study_of("rv-40e")) is None
+    assert full_model_check.not_limited(dataclasses.replace(with_duty, design=bare)).outputs == ("turn_pin_pressure",)
+    assert (
+        full_model_check.not_limited(study_of("rv-40e-whole")) is None
+        and full_model_check.not_limited(study_of("rv-40e")) is None
+    )
 
 
 def study_of(name):
@@ -169,9 +174,9 @@ def test_units_beyond_a_usual_limit_are_said(monkeypatch):
 
     response.costly, response.outputs = True, ("turn_pin_pressure",)
     asked = loaded_study(("[conditions]", "[run]\nseed = 1\n[conditions]"))
-    monkeypatch.setattr(whole, "Response", SimpleNamespace(of=lambda design, names, conditions: response))
-    (found,) = whole.unlimited(asked, asked.tolerances).values()
-    assert found.nominal == pytest.approx(2650e6) and found.units == whole.UNITS and found.failed == 0
+    monkeypatch.setattr(full_model_check, "Response", SimpleNamespace(of=lambda design, names, conditions: response))
+    (found,) = full_model_check.unlimited(asked, asked.tolerances).values()
+    assert found.nominal == pytest.approx(2650e6) and found.units == full_model_check.UNITS and found.failed == 0
     assert found.reached.lower < 2882.6e6 < found.reached.upper
     assert found.share.lower < 0.93319 < found.share.upper and found.missed
     seen = {"turn_pin_pressure": found}
@@ -187,7 +192,7 @@ def test_units_beyond_a_usual_limit_are_said(monkeypatch):
 
 
 def test_studies_that_are_not_measured(study):
-    assert whole.counterparts(study)
+    assert full_model_check.counterparts(study)
     lacks = LOADED.replace('base = "rv-320e"', 'base = "rv-40e"')
     for text in (
         lacks,
@@ -195,4 +200,4 @@ def test_studies_that_are_not_measured(study):
         LOADED.replace("requirement.transmission_error", "requirement.loaded_transmission_error"),
         LOADED.replace('[requirement.transmission_error]\nupper = "1 arcmin"\n', ""),
     ):
-        assert whole.counterparts(parse_study(text, name="other", solve=False)) == {}
+        assert full_model_check.counterparts(parse_study(text, name="other", solve=False)) == {}

@@ -54,18 +54,6 @@ def curves_of(
     return np.asarray(angles)[0], np.concatenate(found)[:count]
 
 
-def begin_curves(curve: Curve, design: Design, conditions: object, population: Population) -> None:
-    """Begin the program, see `Compiled.begin`.
-
-    Args:
-        curve: as in `curves_of`.
-        design: as in `curves_of`.
-        conditions: as in `curves_of`.
-        population: as in `curves_of`.
-    """
-    _curves.begin(_unit(curve, design, conditions, None), population, jnp.zeros((population.numbers, AT_ONCE)))
-
-
 def _unit(curve: Curve, design: Design, conditions: object, torque: float | None) -> _Drawn:
     name = torque_condition(conditions)
     torque = getattr(conditions, name, None) if torque is None else torque

@@ -1,11 +1,8 @@
 """Plots of a report, rendered when they are written: PNG for a folder, SVG for a page."""
 
 import io
-import threading
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from rvjax.render.quantity import micro
@@ -17,8 +14,6 @@ if TYPE_CHECKING:
 DPI = 150
 FORM = "png"
 """Of the files of a folder; a page has "svg"."""
-_threads = ThreadPoolExecutor(1, "draw")
-_style = threading.Lock()  # Matplotlib has one style for all threads
 
 
 @dataclass(frozen=True)
@@ -35,33 +30,17 @@ class Figure:
     caption: str
     draw: "Callable[[], Axes]"
 
-    @cached_property
-    def _begun(self) -> dict[str, Future[bytes]]:
-        return {}
-
-    def begin(self, form: str) -> None:
-        """Draw it in another thread while the caller computes; `content` waits for it.
-
-        Args:
-            form: as in `content`.
-        """
-        self._begun[form] = _threads.submit(self._rendered, form)
-
     def content(self, form: str = FORM) -> bytes:
         """The content of its file, in the one style of all plots; units are spelled as on the page.
 
         Args:
             form: "png" or "svg".
         """
-        begun = self._begun.get(form)
-        return self._rendered(form) if begun is None else begun.result()
-
-    def _rendered(self, form: str) -> bytes:
         from matplotlib.text import Text
 
         from rvjax import plotting
 
-        with _style, plotting.style():
+        with plotting.style():
             figure = self.draw().figure
             for text in figure.findobj(Text):
                 assert isinstance(text, Text)

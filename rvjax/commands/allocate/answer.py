@@ -4,24 +4,20 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 
 from rvjax._ground.progress import begin, progress_bar
-from rvjax.commands.allocate.forecast import CERTIFYING, PRICING, SAMPLING, SEARCHING, shown_values, targets
-from rvjax.commands.allocate.whole import Unlimited, Whole, not_limited, unlimited, whole
-from rvjax.commands.curves import begin_curves, curves_of
+from rvjax.commands.allocate.full_model_check import Unlimited, Whole, unlimited, whole
+from rvjax.commands.curves import curves_of
+from rvjax.commands.forecast import CERTIFYING, PRICING, SAMPLING, SEARCHING, shown_values, targets
 from rvjax.population import Population, root_key
 from rvjax.records import PyTree
 from rvjax.response import (  # chunks of the certificate's size: the response compiles once
     BLOCK,
     Response,
-    begin_gradients,
-    begin_programs,
     nominal_status,
     numbers_of,
     parts,
-    respond,
     response_names,
     status_without_errors,
 )
@@ -102,14 +98,7 @@ class Answer:
     unlimited: Mapping[str, Unlimited] = dataclasses.field(default_factory=dict)
 
 
-def answer(
-    study: Study,
-    *,
-    progress: bool = False,
-    memo: Memo | None = None,
-    measure: bool = True,
-    sampled: Callable[[Answer], None] | None = None,
-) -> Answer:
+def answer(study: Study, *, progress: bool = False, memo: Memo | None = None, measure: bool = True) -> Answer:
     """Allocate the tolerances of a study and collect what the report shows.
 
     Args:
@@ -118,17 +107,10 @@ def answer(
         memo: store of intermediate results, from which an interrupted run resumes.
         measure: measure the allocated units of a four-bar or lost-motion study on the whole reducer, and what a
             loaded study does not limit.
-        sampled: takes the result as soon as its sample units are solved, before the cost curve and what is measured.
     """
     response = study.response()
     begin(SEARCHING)
     with progress_bar(progress, None, "checked", "unit") as advance:  # compiles the gradients: the longest wait
-        if response.costly:
-            begin_programs(response, Population.of(study.tolerances), slopes=True)
-            if measure and (others := not_limited(study)):
-                begin_programs(others, Population.of(study.tolerances))
-        else:
-            _begin_programs(study, response)
         status_of = status_without_errors if response.costly else nominal_status
         refuse(status_of(response, Population.of(study.tolerances)))
         advance(1)
@@ -165,26 +147,16 @@ def answer(
         _side(study, response, study.tolerances, before, curves, {}),
         _side(study, response, allocation.tolerances, certificate, curves, found),
     ]
-    found_so_far = Answer(study, allocation, before, sides[0], sides[1], cost_curve=[])
-    if sampled is not None:
-        sampled(found_so_far)
     begin(PRICING)
-    return dataclasses.replace(
-        found_so_far,
+    return Answer(
+        study,
+        allocation,
+        before,
+        *sides,
         cost_curve=_cost_curve(study, allocation),
         whole=whole(study, allocation.tolerances) if measure else None,
         unlimited=unlimited(study, allocation.tolerances) if measure else {},
     )
-
-
-def _begin_programs(study: Study, response: Response) -> None:
-    """Begin the programs of a response that is not costly, and of its curve, see `Compiled.begin`."""
-    population = Population.of(study.tolerances)
-    begin_gradients(response, population)
-    count = BLOCK if study.middles else min(study.samples, BLOCK)
-    respond.begin(response, population, jnp.zeros((population.numbers, count)))
-    if study.curve is not None:
-        begin_curves(study.curve, study.design, study.conditions, population)
 
 
 def _side(

@@ -136,20 +136,6 @@ class _Question(NamedTuple):
         )
 
 
-def begin_lives(study: Study, tolerances: PyTree) -> None:
-    """Begin the programs of `lives_if_any`, see `Compiled.begin`.
-
-    Args:
-        study: as there.
-        tolerances: as there.
-    """
-    if (asked := _Question.of(study, tolerances)) is not None:
-        rated, turned, population, duty, torque = asked
-        none = np.full((population.numbers, UNITS + 1), np.nan)  # units that the model does not solve
-        _of_units.begin(rated, population, none, duty)
-        _of_units.begin(turned, population, none[:, : TURNED + 1], torque)
-
-
 def lives_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> Lives | None:
     """The bearing lives of a study that requires one; None for another study.
 
