@@ -22,7 +22,7 @@ from scipy.integrate import quad_vec  # noqa: E402
 from benchmarks.loaded import draw, fields  # noqa: E402
 from benchmarks.whole import ACCURACY  # noqa: E402
 from rvjax import RollerBearing, RVErrors, catalogue, life, loaded, study  # noqa: E402
-from rvjax._jax.compile_cache import QUICK  # noqa: E402
+from rvjax._jax.programs import QUICK  # noqa: E402
 from rvjax.life.histories import J4, J45  # noqa: E402
 from rvjax.life.ratings import ratings  # noqa: E402
 from rvjax.loaded.cases import MACHINE  # noqa: E402

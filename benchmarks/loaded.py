@@ -38,7 +38,7 @@ from benchmarks.loaded_others import COLUMNS, FIELDS, OFFSETS, in_numpy, numbers
 from oracles import loaded as oracle  # noqa: E402
 from oracles.loaded_machine import STAGES  # noqa: E402
 from rvjax import RVErrors, catalogue, loaded  # noqa: E402
-from rvjax._jax.compile_cache import QUICK  # noqa: E402
+from rvjax._jax.programs import QUICK  # noqa: E402
 from rvjax.loaded.cases import MACHINE  # noqa: E402
 
 UNITS, TURNED, CHECKED, LOOP_UNITS = 4096, 512, 8, 2  # at one angle; along a turn; by the oracle; by SciPy

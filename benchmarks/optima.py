@@ -33,7 +33,7 @@ import numpy as np
 import rvjax
 from benchmarks.optima_problems import PROBLEMS, Problem
 from benchmarks.timing import machine, settings
-from rvjax._jax import compile_cache
+from rvjax._jax import programs
 from rvjax.response.response import Compiled
 from rvjax.tolerances import Allocation, allocate
 
@@ -42,8 +42,8 @@ FROZEN, FOLDER = Path(__file__).with_suffix(".json"), ROOT / "build" / "optima"
 DEARER, SLOWER, BELOW, QUIET = 1.003, 1.25, 0.999, 0.1  # QUIET: cores that other work may use
 ORDER = ("OPTIMAL", "SUBOPTIMAL", "MAX_STEPS", "NOT_CERTIFIED", "INFEASIBLE")
 CERTIFIED = ORDER[:3]
-VALUES = {"respond", "_respond_on", "_solved", "_solved_on"}  # programs that give values of units, and gradients
-SLOPES = {"pulled", "_pulled", "_pulled_on", "slopes", "_values_and_gradients"}
+VALUES = {"respond", "_solved"}  # programs that give values of units, and gradients
+SLOPES = {"pulled", "_pulled", "slopes", "_values_and_gradients"}
 HEAD = f"{'problem':36} {'status':14} {'cost':>9} {'ratio':>7} {'price':>7} {'units':>11} {'gradients':>9} {'CPU s':>6}"
 
 Row = dict[str, Any]
@@ -57,7 +57,7 @@ def units() -> Iterator[Counter[str]]:
     def counted(self: Any, response: Any, *arguments: Any, **static: Any) -> Any:
         name = getattr(self, "__name__", "")
         what = "values" if name in VALUES else "gradients" if name in SLOPES else None
-        if what and not compile_cache.inside(response, arguments):
+        if what and not programs.inside(response, arguments):
             given = arguments[1]
             solved = name.startswith("_solved")
             found[what] += int(np.isfinite(np.asarray(given)).all(axis=0).sum()) if solved else int(given.shape[-1])
@@ -253,7 +253,7 @@ def main() -> None:
     options = parser.parse_args()
     settings()  # JAX has not been used yet
     if options.alone:
-        compile_cache.keep(rvjax.__version__)
+        programs.keep(rvjax.__version__)
         print(json.dumps(solved(PROBLEMS[options.alone], None, 1)))
         return
     names = [n for n, p in PROBLEMS.items() if not options.only or {n, p.kind} & set(options.only)]

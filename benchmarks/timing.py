@@ -35,10 +35,10 @@ def settings() -> None:
         flags.append("--xla_cpu_prefer_vector_width=512")
     os.environ["XLA_FLAGS"] = " ".join([os.environ.get("XLA_FLAGS", ""), *flags]).strip()
     import rvjax
-    from rvjax._ground import malloc
+    from rvjax._jax.programs import keep_memory
 
     rvjax.enable_x64()
-    malloc.keep()
+    keep_memory()
 
 
 def c_library(source: str) -> ctypes.CDLL | None:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from importlib import resources
 from typing import Any, TypeVar
 
+from rvjax._reducer.deviations import unreminded
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import CamRollerReducer, RVReducer
 from rvjax.errors import RVErrors
@@ -84,7 +85,8 @@ RV_40E_WHOLE: RVReducer = _record(
     RVReducer, {**_PUBLISHED["RV_40E"], **_PUBLISHED["RV_40E_WHOLE"]}
 )  # RV-40E with assumed stiffnesses, contact and masses
 RV_20E: RVReducer = _record(RVReducer, _PUBLISHED["RV_20E"])
-RV_20E_ERRORS: RVErrors = _record(RVErrors, _PUBLISHED["RV_20E_ERRORS"])
+with unreminded():
+    RV_20E_ERRORS: RVErrors = _record(RVErrors, _PUBLISHED["RV_20E_ERRORS"])
 RV_80E: RVReducer = _record(RVReducer, _PUBLISHED["RV_80E"])
 RV_320E: RVReducer = _record(RVReducer, _PUBLISHED["RV_320E"])
 CYCLOIDAL_15: CycloidalReducer = _record(CycloidalReducer, _PUBLISHED["CYCLOIDAL_15"])

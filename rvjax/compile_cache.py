@@ -2,7 +2,7 @@
 
 import warnings
 
-from rvjax._jax.compile_cache import QUICK, keep, prune, quick
+from rvjax._jax.programs import QUICK, keep, prune, quick
 
 warnings.warn(
     "rvjax.compile_cache is deprecated: give `jax.jit` its compiler options; the command line keeps programs by itself",

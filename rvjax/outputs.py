@@ -223,7 +223,7 @@ class Observation:
             "reading", (torques, orders, 6, 2) rad; None without such a nuisance.
         parts: of a curve, (design, conditions, orders, alike) -> into how many parts its angles divide, each of which
             `predict` evaluates with part = (its number, their count); their mean is the curve. None: it does not.
-        compiler_options: of programs that compute it, such as `rvjax._jax.compile_cache.QUICK`.
+        compiler_options: of programs that compute it, such as `rvjax._jax.programs.QUICK`.
     """
 
     kind: str
@@ -315,7 +315,7 @@ class Description:
         cases: quick -> cases by which levels are measured, fewer in a quick run; None where none are.
         unknown: what the model leaves out, one line for a person who reads its results.
         observations: what a bench can measure of it.
-        compiler_options: of programs that compute an output of it, such as `rvjax._jax.compile_cache.QUICK`.
+        compiler_options: of programs that compute an output of it, such as `rvjax._jax.programs.QUICK`.
         costly: whether a unit takes so long that an allocation solves only the units that decide.
         parts: optional parts of a design that no other model reads.
         joints: results, its own and those of models above it, that are cheaper computed together.

@@ -22,9 +22,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
-from rvjax._jax.arguments import checked
-from rvjax._jax.marked import SOLVED
-from rvjax._jax.varying import while_loop
+from rvjax._jax.checks import checked
+from rvjax._jax.kernels import while_loop
+from rvjax._jax.solved_state import SOLVED
 from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record
 from rvjax.status import SolveInfo, Status, succeeded
 

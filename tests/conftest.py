@@ -32,7 +32,7 @@ from hypothesis import settings
 
 import rvjax
 from rvjax import cli, models
-from rvjax._jax import compile_cache
+from rvjax._jax import programs
 from rvjax.render import Figure
 
 gc.set_threshold(200_000, 20, 100)  # tracing makes millions of objects; looking through them all cost a tenth
@@ -106,7 +106,7 @@ def answered(tmp_path_factory):
 @pytest.fixture
 def undrawn(monkeypatch):
     """Pages and folders with empty plots, two seconds sooner each: for tests of their words."""
-    monkeypatch.setattr(Figure, "_rendered", lambda *_: b"")
+    monkeypatch.setattr(Figure, "content", lambda *_: b"")
 
 
 @pytest.fixture
@@ -114,7 +114,7 @@ def kept_programs(tmp_path, monkeypatch):
     """A folder in which programs are kept, as if the command line ran."""
     folder = tmp_path / "programs"
     folder.mkdir()
-    monkeypatch.setattr(compile_cache, "_folder", [folder])
+    monkeypatch.setattr(programs, "_folder", [folder])
     return folder
 
 

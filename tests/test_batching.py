@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rvjax._jax.batching import TracedLate
+from rvjax._jax.kernels import BatchedKernel
 
 
 def late():
@@ -16,7 +16,7 @@ def late():
         traced.append(x.shape)
         return jnp.sum(x, axis=1)
 
-    made = TracedLate(function, lambda x: jax.ShapeDtypeStruct(x.shape[:1], x.dtype))
+    made = BatchedKernel(function, lambda x: jax.ShapeDtypeStruct(x.shape[:1], x.dtype))
     made.rule = lambda size, batched, x: made(x.reshape(-1, x.shape[-1])).reshape(size, -1)
     return made, traced
 

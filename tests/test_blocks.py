@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from rvjax import RVErrors, catalogue, loaded
-from rvjax._jax import blocks
-from rvjax._jax.batching import settle
+from rvjax._jax import sizes
+from rvjax._jax.kernels import settle
 from rvjax.commands import console
 from rvjax.mesh_force.case import Case
 from rvjax.mesh_force.equilibrium import equilibrium
@@ -67,14 +67,14 @@ def test_a_gpu_stores_nothing_on_purpose(platform, loops):
 
 def test_rows_are_filled_up():
     rows = np.arange(10.0).reshape(5, 2)
-    np.testing.assert_array_equal(blocks.padded(rows, 4), rows[[0, 1, 2, 3, 4, 4, 4, 4]])
-    np.testing.assert_array_equal(blocks.padded(rows, 4, fill=7)[5:], np.full((3, 2), 7.0))
-    np.testing.assert_array_equal(blocks.padded(rows, 3, axis=1), rows[:, [0, 1, 1]])
-    assert blocks.padded(rows, 5) is rows and blocks.padded(rows[:0], 4).shape == (0, 2)
-    traced = jax.jit(lambda x: blocks.padded(x, 3, axis=-1))(rows)
+    np.testing.assert_array_equal(sizes.padded(rows, 4), rows[[0, 1, 2, 3, 4, 4, 4, 4]])
+    np.testing.assert_array_equal(sizes.padded(rows, 4, fill=7)[5:], np.full((3, 2), 7.0))
+    np.testing.assert_array_equal(sizes.padded(rows, 3, axis=1), rows[:, [0, 1, 1]])
+    assert sizes.padded(rows, 5) is rows and sizes.padded(rows[:0], 4).shape == (0, 2)
+    traced = jax.jit(lambda x: sizes.padded(x, 3, axis=-1))(rows)
     np.testing.assert_array_equal(traced, rows[:, [0, 1, 1]])
-    np.testing.assert_array_equal(blocks.calls(5, 3), [[0, 1, 2], [3, 4, 4]])
-    assert blocks.calls(0, 3).shape == (0, 3)
+    np.testing.assert_array_equal(sizes.calls(5, 3), [[0, 1, 2], [3, 4, 4]])
+    assert sizes.calls(0, 3).shape == (0, 3)
 
 
 @record
@@ -100,9 +100,9 @@ def test_calls_of_a_gpu_are_larger_and_give_the_same(monkeypatch, platform, solv
     seen = []
 
     def noting(call):
-        def noted(response, population, errors, *rest):
+        def noted(response, population, errors, *rest, **static):
             seen.append(errors.shape[1])
-            return call(response, population, errors, *rest)
+            return call(response, population, errors, *rest, **static)
 
         return noted
 
@@ -132,7 +132,7 @@ def test_units_go_to_the_devices_that_are_named_and_nothing_else_does():
         assert not jnp.zeros(3).committed
     assert placed.committed and not plain.committed and solved.values["y"].shape == (5,)
     np.testing.assert_array_equal(placed, plain)
-    assert blocks.platform_of([1.0, placed]) == "cpu" and units_devices() == jax.local_devices()
+    assert sizes.platform_of([1.0, placed]) == "cpu" and units_devices() == jax.local_devices()
 
 
 GPUS = [SimpleNamespace(platform="gpu", device_kind="H100")] * 2

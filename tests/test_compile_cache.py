@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from rvjax._jax import compile_cache
+from rvjax._jax import programs
 
 
 @pytest.fixture
@@ -26,28 +26,28 @@ def none_kept(monkeypatch, tmp_path):
 
 
 def test_programs_are_kept_in_the_cache_folder_of_the_user(none_kept):
-    folder = compile_cache.keep("1.2.3")
+    folder = programs.keep("1.2.3")
     assert folder.is_dir() and folder.parent == none_kept / "rvjax" and "1.2.3" in folder.name
     assert jax.config.values["jax_compilation_cache_dir"] == str(folder)
 
 
 def test_nothing_is_kept_where_it_is_switched_off_or_named_elsewhere_or_cannot_be_written(none_kept, monkeypatch):
-    monkeypatch.setenv(compile_cache.OFF, "0")
-    assert compile_cache.keep("1") is None
-    monkeypatch.delenv(compile_cache.OFF)
+    monkeypatch.setenv(programs.OFF, "0")
+    assert programs.keep("1") is None
+    monkeypatch.delenv(programs.OFF)
     (none_kept / "rvjax").write_text("a file where the folder should be")
-    assert compile_cache.keep("1") is None and jax.config.values["jax_compilation_cache_dir"] is None
+    assert programs.keep("1") is None and jax.config.values["jax_compilation_cache_dir"] is None
     jax.config.update("jax_compilation_cache_dir", "of the user")
-    assert compile_cache.keep("1") is None and jax.config.values["jax_compilation_cache_dir"] == "of the user"
+    assert programs.keep("1") is None and jax.config.values["jax_compilation_cache_dir"] == "of the user"
 
 
 def test_those_used_longest_ago_go_first(tmp_path):
     for age, name in enumerate(("new", "old", "oldest")):
         (tmp_path / name).write_bytes(b"x" * 100)
         os.utime(tmp_path / name, (1e9 - age, 1e9 - age))
-    compile_cache.prune(tmp_path, 250)
+    programs.prune(tmp_path, 250)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["new", "old"]
-    compile_cache.prune(tmp_path, 0)
+    programs.prune(tmp_path, 0)
     assert not list(tmp_path.iterdir())
 
 
@@ -62,7 +62,7 @@ def test_importing_the_package_loads_no_jax():
 def test_a_function_has_its_compiler_options_alone_and_none_within_another_program(traced_option):
     options, count = traced_option
 
-    @compile_cache.quick(0, options=options)
+    @programs.quick(0, options=options)
     def power(number, x):
         return x**number
 
@@ -79,28 +79,28 @@ def test_a_function_has_its_compiler_options_alone_and_none_within_another_progr
 
 def test_a_batch_of_a_quick_function_is_compiled_with_the_quick_options(monkeypatch):
     """`jax.vmap` without a program of its own: options of one case (`ONCE`) would make a batch slow."""
-    seen, real = [], compile_cache.understood
-    monkeypatch.setattr(compile_cache, "understood", lambda options: seen.append(options) or real(options))
-    power = compile_cache.quick(0, options=compile_cache.ONCE)(lambda number, x: x**number)
+    seen, real = [], programs.understood
+    monkeypatch.setattr(programs, "understood", lambda options: seen.append(options) or real(options))
+    power = programs.quick(0, options=programs.ONCE)(lambda number, x: x**number)
     assert jax.vmap(lambda x: power(2, x))(jnp.arange(3.0)).tolist() == [0.0, 1.0, 4.0]
-    assert seen == [compile_cache.QUICK]
+    assert seen == [programs.QUICK]
     assert jax.vmap(jax.grad(lambda x: power(3, x)))(jnp.arange(3.0)).tolist() == [0.0, 3.0, 12.0]
     assert jax.jit(jax.vmap(lambda x: power(2, x)))(jnp.arange(3.0)).tolist() == [0.0, 1.0, 4.0]
-    assert seen == [compile_cache.QUICK]
-    assert power(2, 3.0) == 9.0 and seen == [compile_cache.QUICK, compile_cache.ONCE]
+    assert seen == [programs.QUICK]
+    assert power(2, 3.0) == 9.0 and seen == [programs.QUICK, programs.ONCE]
 
 
 def test_a_quick_function_is_compiled_with_the_quick_options():
     """Its first call looks the default options up; JAX does not show those of a compiled function."""
-    compile_cache.understood.cache_clear()
-    square = compile_cache.quick()(lambda x: x * x)
-    assert square(3.0) == 9.0 and compile_cache.understood.cache_info().misses == 1
-    compile_cache.understood(compile_cache.QUICK)
-    assert compile_cache.understood.cache_info().misses == 1
+    programs.understood.cache_clear()
+    square = programs.quick()(lambda x: x * x)
+    assert square(3.0) == 9.0 and programs.understood.cache_info().misses == 1
+    programs.understood(programs.QUICK)
+    assert programs.understood.cache_info().misses == 1
 
 
 def test_the_former_name_of_the_module_warns():
     sys.modules.pop("rvjax.compile_cache", None)
     with pytest.warns(DeprecationWarning, match="jax.jit"):
         from rvjax.compile_cache import QUICK
-    assert QUICK is compile_cache.QUICK
+    assert QUICK is programs.QUICK

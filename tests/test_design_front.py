@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from rvjax import study
-from rvjax.commands.design import figures
+from rvjax.commands.design import figures, optimum as command
 from rvjax.commands.design.optimum import Designed, Point
 from rvjax.commands.design.prices import limit_price, multiplier, nominal_limit
 from rvjax.commands.design.tables import numbers, others, saved_part, starts_text

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rvjax._jax import compile_cache, exported
+from rvjax._jax import exported, programs
 from rvjax.measured import Conditions
 from rvjax.records import Record, field, record, text
 from rvjax.response import per_response
@@ -101,7 +101,7 @@ def test_a_program_of_another_source_is_traced(monkeypatch):
     """A program may hold formulas of any package: each of them is part of the key."""
     digest, read = exported._source.__wrapped__, Path.read_bytes
     before, root = digest(), Path(exported.__file__).parents[1]
-    for changed in (root / "life" / "rating.py", root / "_jax" / "batching.py", root / "units.py"):
+    for changed in (root / "life" / "rating.py", root / "_jax" / "kernels.py", root / "units.py"):
         other = lambda path, changed=changed: read(path) + b"#" * (path == changed)  # noqa: E731
         monkeypatch.setattr(Path, "read_bytes", other)
         assert digest() != before, changed
@@ -132,7 +132,7 @@ def test_only_the_command_line_keeps_and_only_what_has_a_name(folder, monkeypatc
     inner = another_process()
     assert jax.grad(lambda size: inner(Power(size, 2), jnp.ones(3), names=("a",))[0]["a"].sum())(3.0) == 3.0
     assert not list(folder.iterdir())
-    monkeypatch.setattr(compile_cache, "_folder", [])
+    monkeypatch.setattr(programs, "_folder", [])
     another_process()(Power(3.0, 2), np.ones(3), names=("a",))
     assert not list(folder.iterdir())
 
@@ -203,8 +203,8 @@ from pathlib import Path
 import jax
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
-from rvjax._jax import compile_cache
-compile_cache._folder[:] = [Path(sys.argv[1])]
+from rvjax._jax import programs
+programs._folder[:] = [Path(sys.argv[1])]
 import test_exported
 print(*test_exported.singular_values())
 """
@@ -236,9 +236,9 @@ def test_options_of_the_compiler_are_given_to_a_kept_program(folder, traced_opti
 
 
 def test_keep_says_where(monkeypatch, folder):
-    assert compile_cache.kept_folder() == folder
-    monkeypatch.setenv(compile_cache.OFF, "0")
-    assert compile_cache.keep("1") is None and compile_cache.kept_folder() is None
+    assert programs.kept_folder() == folder
+    monkeypatch.setenv(programs.OFF, "0")
+    assert programs.keep("1") is None and programs.kept_folder() is None
 
 
 @record

@@ -160,6 +160,24 @@ def test_statistics_know_no_gears():
             assert {other[0] for other in imports(path)} <= ground | below | {room}, path.name
 
 
+def test_no_thread_but_of_progress_and_processes_and_no_look_into_the_interpreter():
+    """A computation is one thread; nothing reads bytecode or frames, or changes what a fork does."""
+    modules = {"threading": set(), "concurrent": set(), "multiprocessing": set(), "dis": set(), "_thread": set()}
+    names = {"co_code", "co_consts", "_getframe", "currentframe", "register_at_fork", "fork"}
+    looks = []
+    for path in rooms():
+        for node in ast.walk(parsed(path)):
+            loaded = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            loaded += [name.name for name in node.names] if isinstance(node, ast.Import) else []
+            for module in {name.split(".")[0] for name in loaded} & modules.keys():
+                modules[module].add(path.relative_to(PACKAGE).as_posix())
+            if getattr(node, "attr", getattr(node, "id", None)) in names:
+                looks.append(f"{path.relative_to(PACKAGE)}:{node.lineno}")
+    watching = {"_ground/progress.py", "_jax/distributed.py", "tolerances/batch/processes.py"}
+    assert modules.pop("threading") == watching | {"commands/montecarlo/batch.py"}
+    assert (looks, set().union(*modules.values())) == ([], set())
+
+
 def forks(tree, classes):
     """Lines that ask for one of these classes: `isinstance`, `issubclass`, a comparison, a case of a `match`."""
     for node in ast.walk(tree):

@@ -106,7 +106,7 @@ def here(tmp_path_factory, turns):
 @pytest.fixture(autouse=True)
 def there(here, monkeypatch):
     monkeypatch.chdir(here)
-    monkeypatch.setattr(Figure, "_rendered", lambda *_: b"")
+    monkeypatch.setattr(Figure, "content", lambda *_: b"")
 
 
 def test_the_errors_of_a_drive_are_found(here):

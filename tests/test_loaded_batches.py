@@ -9,7 +9,7 @@ import pytest
 from loaded_cases import NAMED, assert_same, at, design_of, errors_of, solve, supported
 
 from rvjax import Status, loaded
-from rvjax._jax.blocks import Size
+from rvjax._jax.sizes import Size
 from rvjax.loaded import batching, newton
 from rvjax.loaded.case import solve as solve_from
 from rvjax.loaded.equilibrium import outcome

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rvjax._jax.compile_cache import QUICK
+from rvjax._jax.programs import QUICK
 from rvjax.study import StudyError, load, parse_study
 
 WHOLE = load("rv-40e-whole", solve=False).text

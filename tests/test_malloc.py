@@ -9,13 +9,13 @@ import pytest
 CHILD = """
 import ctypes, os
 from pathlib import Path
-from rvjax._ground import malloc
+from rvjax._jax import programs
 
 def resident():
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 if {keep}:
-    malloc.keep()
+    programs.keep_memory()
 libc = ctypes.CDLL(None)
 libc.malloc.restype, libc.free.argtypes = ctypes.c_void_p, [ctypes.c_void_p]
 before = resident()

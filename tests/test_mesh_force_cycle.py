@@ -15,7 +15,7 @@ import rvjax
 from oracles import cam_roller
 from oracles.cam_roller import corr, geometry, half_widths
 from rvjax import CamRollerErrors, Status, mesh_force
-from rvjax._jax.blocks import lowering
+from rvjax._jax.sizes import lowering
 from rvjax.mesh_force import equilibrium
 from rvjax.mesh_force.block import Found
 from rvjax.mesh_force.case import Case

@@ -5,7 +5,6 @@ import io
 import signal
 import sys
 import time
-from concurrent.futures import Future
 
 import pytest
 
@@ -52,27 +51,6 @@ def test_only_counted_units_tell_what_is_left():
     assert run.left() is None  # slower than before
     run.begin("writing")
     assert run.left() is None
-
-
-def test_programs_that_compile_are_counted():
-    programs = [Future() for _ in range(9)]
-    with progress.watched(progress.Phases(["searching"], io.StringIO(), clock=Clock())):
-        progress.begin("searching")
-        run = progress._WATCHED.get()
-        with progress.planned(11):  # of which two are not begun: this process has them
-            progress.compiling(programs[0])
-            assert run.line().endswith("searching, compiling 1 of 11 programs")
-            for program in programs[1:]:
-                progress.compiling(program)
-        assert run.line() == "phase 1 of 1, 0 s in: searching, compiling 1 of 9 programs"
-        for program in programs[3:7]:
-            program.set_result(None)
-        run.detail("compiling")
-        assert run.line().endswith("searching, compiling 5 of 9 programs")
-        for program in programs[:3] + programs[7:]:
-            program.set_exception(ValueError())
-        assert run.line().endswith("searching, compiling")  # no other program is known of
-    progress.compiling(programs[0])  # without a line, nothing
 
 
 @pytest.mark.parametrize("stream", [io.StringIO(), Terminal()])

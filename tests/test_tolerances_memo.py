@@ -22,11 +22,11 @@ def counted(monkeypatch):
     counted = Counted()
 
     def count(respond):
-        def counting(*arguments):
+        def counting(*arguments, **static):
             counted.blocks += 1
             if counted.blocks >= counted.stop:
                 raise KeyboardInterrupt
-            return respond(*arguments)
+            return respond(*arguments, **static)
 
         return counting
 

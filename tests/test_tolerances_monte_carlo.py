@@ -6,7 +6,6 @@ chunks are equal, moments agree to 1e-12.
 """
 
 import math
-import threading
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +19,7 @@ from oracles.programs import programs
 from oracles.responses import Linear
 from rvjax.population import Population, root_key
 from rvjax.population.estimates import wilson
-from rvjax.response import BLOCK, Evaluator, numbers_of
+from rvjax.response import BLOCK, numbers_of
 from rvjax.response.response import respond
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, Requirement, Tolerance, for_design, monte_carlo, sample
@@ -337,21 +336,11 @@ def test_progress_bar(capsys):
     assert said.index("compiling") < said.rindex("Monte Carlo: 100%")
 
 
-def test_threads_of_a_command_give_the_same_bits(monkeypatch, request):
-    """Two threads evaluate chunks where a command keeps programs; they are counted in their order."""
+def test_programs_that_a_command_keeps_give_the_same_bits(request):
     options = dict(samples=9000, seed=4, chunk=1000, requirements={"sum": LIMITS}, keep=True)
     alone = monte_carlo(pair, STACK, **options)
-    used = set()
-    started = Evaluator.start
-
-    def start(self, first):
-        used.add(threading.get_ident())
-        return started(self, first)
-
     request.getfixturevalue("kept_programs")
-    monkeypatch.setattr(Evaluator, "start", start)
     together = monte_carlo(pair, STACK, **options)
-    assert len(used) > 1
     for name in ("sum", "largest"):
         np.testing.assert_array_equal(together.values[name], alone.values[name])
     assert together.mean == alone.mean and together.joint_yield == alone.joint_yield

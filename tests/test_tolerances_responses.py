@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from oracles.programs import programs
-from rvjax._jax.compile_cache import QUICK, understood
+from rvjax._jax.programs import QUICK, understood
 from rvjax.population.population import Population, drawn, root_key
 from rvjax.records import Record, count, field, record
 from rvjax.response import response as module

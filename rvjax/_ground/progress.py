@@ -1,9 +1,9 @@
 """Progress of a run of the command line: one line with its phase, its time so far, and what is counted.
 
-Counted are programs that compile in other threads, and units of those that are planned. Only the rest of the counted
-phase is estimated: the time of compilation and the number of steps of a search are not known.
+Counted are units of those that are planned. Only the rest of the counted phase is estimated: the time of compilation
+and the number of steps of a search are not known.
 
-Computations call `begin`, `compiling` and `detail`. Outside `shown` they do nothing.
+Computations call `begin` and `detail`. Outside `shown` they do nothing.
 """
 
 import contextlib
@@ -13,7 +13,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future
 from contextvars import ContextVar
 from typing import Any, TextIO
 
@@ -49,8 +48,6 @@ class Phases:
         self.clock, self.tick, self.first, self.again = clock, tick, first, again
         self.names = list(names)
         self.terminal = stream.isatty()
-        self.programs: list[Future[Any]] = []
-        self.coming = 0  # programs that are planned, and not begun
         self.name, self.since, self.said, self.note, self.part = "", self.clock(), 0.0, "", 0.0
         self.moving: tuple[float, float] | None = None  # time and part when the first units were done
         self.counted_at = 0.0  # time when the last ones were
@@ -87,16 +84,10 @@ class Phases:
     def line(self) -> str:
         """Current text of the line."""
         number = self.names.index(self.name) + 1
-        programs = self._compiling()
-        note = "" if programs and self.note == COMPILING else self.note
-        notes = filter(None, [self.name, note, *programs])
+        notes = filter(None, [self.name, self.note])
         left, taken = self.left(), spelled(self.clock() - self.since)
         rest = "" if left is None else f"about {spelled(left)} left, "
         return f"phase {number} of {len(self.names)}, {rest}{taken} in: {', '.join(notes)}"
-
-    def _compiling(self) -> list[str]:
-        done, count = sum(program.done() for program in self.programs), len(self.programs) + self.coming
-        return [f"{COMPILING} {done + 1} of {count} programs"] if done < count else []
 
     @contextlib.contextmanager
     def aside(self) -> Iterator[None]:
@@ -174,27 +165,6 @@ def begin(name: str) -> None:
     """Begin a phase. A name of no phase is a detail of the current one."""
     if (phases := _WATCHED.get()) is not None:
         phases.begin(name)
-
-
-def compiling(program: Future[Any]) -> None:
-    """Count a program that another thread compiles."""
-    if (phases := _WATCHED.get()) is not None:
-        phases.programs.append(program)
-        phases.coming = max(phases.coming - 1, 0)
-
-
-@contextlib.contextmanager
-def planned(programs: int) -> Iterator[None]:
-    """Count programs that what runs inside begins, from the start on; those that it does not begin until the end."""
-    phases = _WATCHED.get()
-    if phases is None:
-        yield
-        return
-    phases.coming = programs
-    try:
-        yield
-    finally:
-        phases.coming = 0
 
 
 def detail(note: str, part: float = 0.0) -> bool:

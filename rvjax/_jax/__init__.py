@@ -1,1 +1,1 @@
-"""All code that depends on internals of JAX or tunes its compiler; each part names its measured gain."""
+"""All code that depends on internals of JAX or tunes its compiler; each file states how it works and its gain."""

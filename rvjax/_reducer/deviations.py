@@ -3,10 +3,10 @@
 A new error is one field, declared with `deviation`; a new kind of reducer is one record that derives from `Errors`.
 """
 
+import contextlib
 import dataclasses
-import inspect
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
@@ -126,16 +126,21 @@ def remind_of_precision() -> None:
     """Warn once, where plain numbers of microns become float32 because float64 is not enabled."""
     if jnp.result_type(float) == jnp.float64 or _reminded:
         return
-    frame, level = inspect.currentframe(), 0
-    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in ("rvjax", "dataclasses"):
-        if frame.f_code.co_name == "<module>":
-            return  # a constant of rvjax, made when it is imported
-        frame, level = frame.f_back, level + 1
     _reminded.append(True)
     warnings.warn(
         "rvjax computes in float32: call rvjax.enable_x64() first, or give arrays of float32 on purpose",
-        stacklevel=level + 1,
+        stacklevel=5,  # the caller of the constructor
     )
+
+
+@contextlib.contextmanager
+def unreminded() -> Iterator[None]:
+    """Make constants of rvjax inside: they are made when it is imported, before a user may enable float64."""
+    _reminded.append(True)
+    try:
+        yield
+    finally:
+        _reminded.pop()
 
 
 class Errors(Record):

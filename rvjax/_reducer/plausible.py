@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import inspect
 import math
 import warnings
 import weakref
@@ -13,8 +12,8 @@ import jax
 import numpy as np
 
 from rvjax import catalogue
-from rvjax._jax import arguments
-from rvjax._jax.compile_cache import ONCE, quick
+from rvjax._jax import checks
+from rvjax._jax.programs import ONCE, quick
 from rvjax._reducer import flank
 from rvjax.records import PyTree, Scalar, concrete
 from rvjax.units import rpm, suited, with_unit
@@ -40,8 +39,8 @@ _seen: "dict[int, weakref.ref[object]]" = {}  # designs by identity: records of 
 
 
 def checked(function: Callable[P, R]) -> Callable[P, R]:
-    """Check the arguments of a model as `arguments.checked` does, and doubt its design."""
-    return arguments.checked(function, doubt_once)
+    """Check the arguments of a model as `checks.checked` does, and doubt its design."""
+    return checks.checked(function, doubt_once)
 
 
 def doubt_once(design: object, where: str) -> None:
@@ -59,7 +58,7 @@ def doubt_once(design: object, where: str) -> None:
         return
     if found := steep(design) + doubtful(design, ("m",)) + doubtful(design, STIFFNESS, FAR_STIFFNESS):
         more = f" (and {len(found) - 1} more values)" if len(found) > 1 else ""
-        warnings.warn(f"{where}: design.{found[0]}{more}", ImplausibleDesign, stacklevel=_caller())
+        warnings.warn(f"{where}: design.{found[0]}{more}", ImplausibleDesign, stacklevel=3)
 
 
 def accept(design: object) -> bool:
@@ -197,11 +196,3 @@ def shown(value: Scalar, unit: str) -> str:
     """
     name, size = ("r/min", rpm) if unit == "rad/s" else suited(float(value), unit)
     return with_unit(float(value) / size, name)
-
-
-def _caller() -> int:
-    """Level of the first caller outside rvjax, for a warning."""
-    frame, level = inspect.currentframe(), 0
-    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in ("rvjax", "jax"):
-        frame, level = frame.f_back, level + 1
-    return level

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
-from rvjax._jax.arguments import checked, numbers
+from rvjax._jax.checks import checked, numbers
 from rvjax.records import PyTree, Scalar
 from rvjax.tolerances import Tolerance
 

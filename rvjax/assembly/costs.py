@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.batching import in_blocks
-from rvjax._jax.blocks import ASSEMBLED
+from rvjax._jax.kernels import in_blocks
+from rvjax._jax.sizes import ASSEMBLED
 from rvjax.assembly.parts import Known
 from rvjax.records import PyTree, Scalar
 from rvjax.response import evaluate, per_response

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from rvjax._ground.progress import detail
-from rvjax._jax.blocks import COMBINATIONS
+from rvjax._jax.sizes import COMBINATIONS
 from rvjax.assembly.alternation import alternated_by, keeps_best, stopped
 from rvjax.assembly.choice import least_largest, least_sum
 from rvjax.assembly.costs import Machine, best_turn, good, valued

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.arguments import checked
+from rvjax._jax.checks import checked
 from rvjax.assembly.costs import Machine, UnitResponse, costs, good
 from rvjax.assembly.parts import Kind, Part, at_path, known
 from rvjax.assembly.plan import chosen, draw, supply_of

@@ -9,7 +9,7 @@ from collections.abc import Hashable, Mapping
 import numpy as np
 
 from rvjax._ground.choices import choose
-from rvjax._jax.arguments import checked
+from rvjax._jax.checks import checked
 from rvjax.assembly.alternation import best_so_far
 from rvjax.assembly.choice import CLOSE, EXACT, least_largest, least_sum
 from rvjax.assembly.costs import Costs, Machine, UnitResponse, costs, good

@@ -137,16 +137,15 @@ def _prepare(*, gpu: bool = False) -> None:
     import jax
 
     import rvjax
-    from rvjax._ground import malloc
-    from rvjax._jax import compile_cache
+    from rvjax._jax import programs
 
     rvjax.enable_x64()
     if "," in named if named else gpu:
         jax.config.update("jax_default_device", "cpu")
     if quiet:
         jax.config.update("jax_logging_level", "CRITICAL")  # where JAX was there before
-    compile_cache.keep(rvjax.__version__)
-    malloc.keep()
+    programs.keep(rvjax.__version__)
+    programs.keep_memory()
 
 
 def _has_avx512() -> bool:

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.blocks import AT_ONCE, calls
-from rvjax._jax.compile_cache import QUICK
+from rvjax._jax.programs import QUICK
+from rvjax._jax.sizes import AT_ONCE, calls
 from rvjax.outputs import Curve, torque_condition
 from rvjax.population import Population
 from rvjax.records import Design, PyTree, Record, Scalar, field, record, text

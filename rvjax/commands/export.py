@@ -14,7 +14,7 @@ import rvjax
 from rvjax import running, study
 from rvjax._ground import progress
 from rvjax._ground.files import check_writable
-from rvjax._jax.compile_cache import QUICK
+from rvjax._jax.programs import QUICK
 from rvjax.commands.console import READING, WRITING
 from rvjax.commands.inputs import Inputs, argument, flag_of, option, quiet_option, study_argument, whole_number
 from rvjax.population import Population, drawn, root_key

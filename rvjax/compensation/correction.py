@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rvjax._jax.arguments import checked, numbers
-from rvjax._jax.blocks import CURVES
+from rvjax._jax.checks import checked, numbers
+from rvjax._jax.sizes import CURVES
 from rvjax.records import PyTree, Scalar
 from rvjax.tolerances import Estimate
 

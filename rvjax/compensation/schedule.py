@@ -6,7 +6,7 @@ from collections.abc import Hashable, Mapping
 
 import numpy as np
 
-from rvjax._jax.arguments import checked
+from rvjax._jax.checks import checked
 from rvjax.compensation.correction import Correction, rated, saved_by
 
 

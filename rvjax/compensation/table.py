@@ -6,7 +6,7 @@ import math
 import numpy as np
 
 from rvjax._ground.choices import choose
-from rvjax._jax.arguments import checked
+from rvjax._jax.checks import checked
 from rvjax.compensation.correction import Correction
 
 SIDES = ("input", "output")

@@ -18,10 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._ground.choices import choose
-from rvjax._jax.batching import folded
-from rvjax._jax.blocks import LINES
 from rvjax._jax.elementary import root
-from rvjax._jax.varying import fori_loop
+from rvjax._jax.kernels import folded, fori_loop
+from rvjax._jax.sizes import LINES
 from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.error_balance import balance

@@ -8,7 +8,7 @@ through the elimination here.
 import jax
 import jax.numpy as jnp
 
-from rvjax._jax.varying import fori_loop
+from rvjax._jax.kernels import fori_loop
 from rvjax.records import PyTree, Scalar
 
 

@@ -12,9 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.batching import once_more, settle
 from rvjax._jax.elementary import arctan2, sin_cos
-from rvjax._jax.varying import scan
+from rvjax._jax.kernels import once_more, scan, settle
 from rvjax.four_bar.closures import Crank
 from rvjax.records import PyTree
 

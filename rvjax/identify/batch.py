@@ -6,7 +6,7 @@ from collections.abc import Iterable
 import jax
 import numpy as np
 
-from rvjax._jax.arguments import checked
+from rvjax._jax.checks import checked
 from rvjax.identify import fit as fits
 from rvjax.identify.elements import mapped_values
 from rvjax.identify.fit import ADEQUATE, Fit

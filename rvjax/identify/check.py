@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from rvjax._jax.arguments import checked
+from rvjax._jax.checks import checked
 from rvjax.identify.elements import mapped_values
 from rvjax.identify.information import Identifiability, Spectrum, findings
 from rvjax.identify.noise import Noise

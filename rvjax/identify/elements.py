@@ -15,9 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._ground.columns import elements
-from rvjax._jax.batching import in_blocks
-from rvjax._jax.blocks import PRIORS
-from rvjax._jax.varying import fori_loop
+from rvjax._jax.kernels import fori_loop, in_blocks
+from rvjax._jax.sizes import PRIORS
 from rvjax.population import Correlation, Population
 from rvjax.records import PyTree
 

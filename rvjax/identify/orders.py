@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rvjax._ground.linear import svd
-from rvjax._jax.arguments import checked
+from rvjax._jax.checks import checked
 from rvjax.records import Array
 
 DEPENDENT = 1e-8

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.arguments import checked
+from rvjax._jax.checks import checked
 from rvjax.identify.posterior import Posterior
 from rvjax.identify.problem import counted, integer
 from rvjax.identify.sampler import Draws

@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.batching import in_blocks
-from rvjax._jax.blocks import DENSITIES, LINEARISED
+from rvjax._jax.kernels import in_blocks
+from rvjax._jax.sizes import DENSITIES, LINEARISED
 from rvjax.identify.elements import Elements, elementwise, values_of
 from rvjax.identify.gauss_newton import Linearised, half_square, mixed
 from rvjax.identify.noise import Noise

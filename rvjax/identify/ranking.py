@@ -14,8 +14,8 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 
 import numpy as np
 
-from rvjax._jax.arguments import checked
-from rvjax._jax.blocks import SETS
+from rvjax._jax.checks import checked
+from rvjax._jax.sizes import SETS
 from rvjax.identify.check import slopes_at
 from rvjax.identify.noise import Noise
 from rvjax.identify.posterior import Posterior

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import special
 
 from rvjax._ground import frames
-from rvjax._jax.arguments import checked
+from rvjax._jax.checks import checked
 from rvjax.identify.elements import mapped_values
 from rvjax.identify.gauss_newton import half_square, mixed
 from rvjax.identify.posterior import Posterior

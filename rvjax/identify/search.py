@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
-from rvjax._jax.batching import in_blocks
-from rvjax._jax.blocks import LINEARISED
+from rvjax._jax.kernels import in_blocks
+from rvjax._jax.sizes import LINEARISED
 from rvjax.identify.gauss_newton import NEAR, Linearised, Mode, half_square, modes
 from rvjax.identify.information import Spectrum
 from rvjax.identify.problem import Problem, densities, parts_of

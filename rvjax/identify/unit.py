@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from rvjax._jax.arguments import checked
+from rvjax._jax.checks import checked
 from rvjax.identify import fit as fits, laplace as checks
 from rvjax.identify.elements import mapped_values
 from rvjax.identify.fit import ADEQUATE, Fit

@@ -8,7 +8,6 @@ import os
 import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import models
-from rvjax._jax.compile_cache import Options, understood
+from rvjax._jax.programs import Options, understood
 from rvjax.levels.choice import design_numbers, reach
 from rvjax.levels.table import Level, Model, Table
 from rvjax.outputs import Cases, Reading, Way
@@ -184,8 +183,7 @@ def measure_model(cases: Cases, *, seed: int, seconds: float = 0.3) -> Model:
     plan = [(way, precision) for way in cases.ways for precision in way.precisions]
     first = draw(cases, 0, 1.0, seed)
     inputs = {precision: _cast(first, precision) for precision in ("float64", "float32")}
-    with ThreadPoolExecutor(2) as pool:  # the compiler leaves the interpreter alone
-        made = list(pool.map(lambda item: _compiled(cases, item[0], inputs[item[1]]), plan))
+    made = [_compiled(cases, way, inputs[precision]) for way, precision in plan]
     names = [f"{way.name}, {precision}" for way, precision in plan]
     reference = names.index(f"{cases.ways[-1].name}, float64")
     errors, typical, failed = _errors(cases, [program for program, _ in made], [p for _, p in plan], reference, seed)

@@ -11,10 +11,10 @@ import numpy as np
 
 from rvjax import status
 from rvjax._ground.choices import choose
-from rvjax._jax.blocks import LOADS, padded
-from rvjax._jax.compile_cache import quick
 from rvjax._jax.elementary import log, nonnegative, power
-from rvjax._jax.varying import scan
+from rvjax._jax.kernels import scan
+from rvjax._jax.programs import quick
+from rvjax._jax.sizes import LOADS, padded
 from rvjax._reducer.bearings import RollerBearing
 from rvjax._reducer.plausible import checked
 from rvjax.designs import expect

@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.compile_cache import quick
-from rvjax._jax.varying import while_loop
+from rvjax._jax.kernels import while_loop
+from rvjax._jax.programs import quick
 from rvjax._reducer.bearings import Bearings
 from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 from jax.typing import DTypeLike
 
-from rvjax._jax.varying import like
+from rvjax._jax.kernels import like
 from rvjax.loaded.batching import in_blocks, in_lanes
 from rvjax.loaded.contacts import Contacts, contacts, gradient
 from rvjax.loaded.elimination import solve

@@ -12,8 +12,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rvjax._jax.batching import TracedLate
-from rvjax._jax.blocks import EQUILIBRIA, GROUP
+from rvjax._jax.kernels import BatchedKernel
+from rvjax._jax.sizes import EQUILIBRIA, GROUP
 from rvjax.loaded.system import Layout, System
 from rvjax.records import PyTree
 
@@ -36,7 +36,7 @@ def in_lanes(kernel: Kernel, layout: Layout, shapes: Callable[[Layout, Any], PyT
         one = shapes(layout, leaves[-1].dtype)
         return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((*batch, *leaf.shape), leaf.dtype), one)
 
-    grouped = TracedLate(functools.partial(_over_groups, kernel, layout), results)
+    grouped = BatchedKernel(functools.partial(_over_groups, kernel, layout), results)
 
     def rule(size: int, batched: list[PyTree], *arguments: PyTree) -> PyTree:
         leaves, tree = jax.tree.flatten(arguments)

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.varying import scan
+from rvjax._jax.kernels import scan
 from rvjax.loaded.balance import forces
 from rvjax.loaded.case import Case, placed, solve
 from rvjax.loaded.inputs import Read

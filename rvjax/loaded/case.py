@@ -1,4 +1,24 @@
-"""One case between the numbers that are read and the results of an equilibrium."""
+"""One case between the numbers that are read and the results of an equilibrium.
+
+An equilibrium, from the call to the result:
+
+     1  layout = check_input(design, errors, contact, ..)      on the host: counts and methods, static
+     2  jit(_equilibrium), layout static                       `quick`; a part of the user's program inside `jax.jit`
+     3      read = admit(layout, design, errors, torque, ..)   harmless numbers where given ones are impossible
+     4      case = prepare(layout, read, angle).loaded(torque) geometry, gaps, springs: a `System`
+     5      found = balance(layout, case.system, start)        without derivatives, in a `BatchedKernel`: a primitive
+     6          for each block of waiting cases:               that is traced when the program is lowered, and whose
+     7              while a case is open:                      batch axis joins all levels of `jax.vmap`
+     8                  contacts, gradient and Hessian at q, Newton's step from there
+     9                  rows = decided(rows, merit), q = onward(..)        full step, or a point of a line
+    10      q = placed(layout, case, found, status)            dq = -H^-1 d(grad E): its `custom_jvp`, two kernels more
+    11      pins, joints, bearings = forces(layout, case.system, q)        a `BatchedKernel`, too
+    12      return Loaded(..), NaN where the status is none of success
+
+The state of line 7 has the cases of a block last (l). A row of `q` (n, l) is an unknown: three for each disc, then
+those of the border, see `system`. A row of `rows` is a field of `line_search.Element`: numbers (energy, bracket,
+residual) in one array, counts and marks in the other.
+"""
 
 import math
 from typing import NamedTuple

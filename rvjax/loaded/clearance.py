@@ -1,6 +1,6 @@
 """Least clearance between flanks and pins along a turn, without load: does the reducer turn freely, or does it jam?"""
 
-from rvjax._jax.compile_cache import quick
+from rvjax._jax.programs import quick
 from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer, expect

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax._jax.batching import folded
+from rvjax._jax.kernels import folded
 from rvjax.loaded import laws
 from rvjax.loaded.system import Bearings, Layout, System
 

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.varying import fori_loop
+from rvjax._jax.kernels import fori_loop
 from rvjax._reducer.flank import Ground
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.loaded.cycloidal_gaps import drive_at, drive_gaps

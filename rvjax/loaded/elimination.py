@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax._jax.batching import folded, stored
+from rvjax._jax.kernels import folded, stored
 from rvjax.loaded.system import Layout
 
 

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.compile_cache import quick
+from rvjax._jax.programs import quick
 from rvjax._reducer.plausible import checked
 from rvjax.designs import RVReducer, expect
 from rvjax.loaded.equilibrium import Loaded

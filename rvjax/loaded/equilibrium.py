@@ -1,13 +1,10 @@
 """One equilibrium of a whole reducer: what is read, what is valid, what comes out."""
 
-from collections.abc import Callable
-from typing import TypeVar
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.compile_cache import ONCE, inside, quick
+from rvjax._jax.programs import ONCE, quick
 from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer
@@ -16,12 +13,10 @@ from rvjax.loaded.balance import compliance, forces
 from rvjax.loaded.case import Case, placed, pressures, solve, turned
 from rvjax.loaded.inputs import Read
 from rvjax.loaded.kinds import admit, check_input, named, prepare
-from rvjax.loaded.newton import DIRECT, Found
+from rvjax.loaded.newton import Found
 from rvjax.loaded.system import Layout
 from rvjax.records import Array, PyTree, Record, Scalar, field, record
-from rvjax.status import SolveInfo, Status, succeeded
-
-R = TypeVar("R")
+from rvjax.status import SolveInfo, succeeded
 
 
 @record
@@ -90,28 +85,7 @@ def equilibrium(
             or an array whose shape does not fit the design.
     """
     layout = check_input(design, errors, contact, carrier, sun)
-    return newton_first(_equilibrium, layout, design, errors, input_angle, output_torque)
-
-
-_LEFT = Status.MAX_STEPS, Status.CONTACT_OVERLOAD  # of a case that Newton's method leaves
-
-
-def newton_first(solve: Callable[..., R], layout: Layout, *given: PyTree) -> R:
-    """Return solve(layout, *given); outside any program without the interior point method where none needs it.
-
-    Few cases do, and it is a third of the compilation.
-
-    Args:
-        solve: to a result with `info`.
-        layout: counts and methods.
-        given: numbers of one case.
-    """
-    if not inside(given):
-        found = solve(layout._replace(interior=False), *given)
-        info: SolveInfo = found.info  # type: ignore[attr-defined]
-        if int(info.status) not in _LEFT or int(info.steps) < DIRECT:
-            return found
-    return solve(layout, *given)
+    return _equilibrium(layout, design, errors, input_angle, output_torque)
 
 
 @quick(0, options=ONCE)

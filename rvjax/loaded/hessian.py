@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.batching import folded
+from rvjax._jax.kernels import folded
 from rvjax.loaded.contacts import Contacts, over_pins
 from rvjax.loaded.elimination import Hessian
 from rvjax.loaded.system import Group, Layout, System

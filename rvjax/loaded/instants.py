@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from rvjax._jax.varying import scan
+from rvjax._jax.kernels import scan
 from rvjax.loaded.balance import forces
 from rvjax.loaded.case import placed, pressures, solve, turned
 from rvjax.loaded.inputs import Read

@@ -17,8 +17,8 @@ import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 
-from rvjax._jax.batching import folded, stored
-from rvjax._jax.blocks import EQUILIBRIA
+from rvjax._jax.kernels import folded, stored
+from rvjax._jax.sizes import EQUILIBRIA
 from rvjax.loaded import laws
 from rvjax.loaded.batching import take
 from rvjax.loaded.contacts import (
@@ -38,8 +38,8 @@ from rvjax.loaded.contacts import (
 from rvjax.loaded.elimination import solve
 from rvjax.loaded.hessian import Frame, frame, hessian
 from rvjax.loaded.interior import approach
+from rvjax.loaded.line_search import Merit, Rows, State, begun, decided, onward
 from rvjax.loaded.system import Layout, System
-from rvjax.loaded.watchdog import Merit, State, begun, decided, onward, unpacked
 from rvjax.records import PyTree
 
 MAX_STEPS = 300
@@ -146,15 +146,15 @@ def _round(layout: Layout, system: System, tour: _Tour, width: int, last: int = 
         return index, part, _begin(part, begin, taken, steps)
 
     def unfinished(block: _Block) -> jax.Array:
-        return (jnp.sum(block.state.open) > last) | (block.next < many)
+        return (jnp.sum(block.state.phase.open) > last) | (block.next < many)
 
     def refill(block: _Block) -> _Block:
         """Give the places of ended cases to the next of the queue, and go on until there are places to give again."""
-        free = ~block.state.open
+        free = ~block.state.phase.open
         turn = jnp.where(free, block.next + jnp.cumsum(free, dtype=jnp.int32) - 1, block.turn)
         following = block.next + jnp.sum(free, dtype=jnp.int32)
         index, part, fresh = seated(turn, free)
-        state = jax.tree.map(lambda new, old: jnp.where(free[None], new, old), fresh, block.state)
+        state = jax.tree.map(lambda new, old: jnp.where(free, new, old), fresh, block.state)
         # A refill waits for a quarter of the places; without a queue all cases but the last run to their end.
         leave = jnp.where(following < many, 3 * width // 4, last).astype(jnp.int32)
         state = _iterate(layout, part, state, leave, again)
@@ -170,7 +170,7 @@ def _round(layout: Layout, system: System, tour: _Tour, width: int, last: int = 
     block = jax.lax.while_loop(unfinished, refill, _Block(turn, empty, jnp.int32(0), tour.found))
     found, state = block.found, block.state
     if last:
-        index = jnp.where(state.open, queue[block.turn], cases)
+        index = jnp.where(state.phase.open, queue[block.turn], cases)
         best = jnp.broadcast_to(tour.start, found.q.shape).at[index].set(state.best.T, mode="drop")
         return _Tour(tour.number, jnp.zeros_like(tour.queued).at[index].set(True, mode="drop"), best, found)
     lost = ~found.converged & found.finite & (found.steps >= DIRECT)
@@ -184,8 +184,8 @@ def _begin(s: System, start: jax.Array, seated: jax.Array, steps: jax.Array) -> 
 
 
 def _found(state: State) -> Found:
-    _, _, reached, counts, _, end = unpacked(state.numbers, state.integers)
-    return Found(state.q, counts.steps, *reached, *end)
+    element = state.rows.element
+    return Found(state.q, element.counts.steps, *element.reached, *element.end)
 
 
 class _Shared(NamedTuple):
@@ -224,7 +224,7 @@ def _iterate(layout: Layout, s: System, state: State, leave: jax.Array, again: j
     limit, of = jnp.where(again, MAX_STEPS, DIRECT), _shared(layout, s, again)
 
     def body(state: State) -> State:
-        q, cold = state.q, state.cold
+        q, cold = state.q, state.phase.cold
         pins = stored(functools.partial(_pressed, of), q, cold)
         joints, bearings = stored(functools.partial(_jointed, of), q, cold)
         at = Contacts(pins, joints, bearings)
@@ -232,11 +232,11 @@ def _iterate(layout: Layout, s: System, state: State, leave: jax.Array, again: j
         square = stored(lambda at, at_rest: hessian(layout, s, at, at_rest), at, of.at_rest)
         newton = stored(lambda square, g: -solve(layout, square, g), square, g)
         merit = stored(functools.partial(_merit, of), q, state.step, cold, at, g, newton)
-        numbers, integers = stored(decided, state.numbers, state.integers, merit, limit)
-        q, best, step = stored(onward, state, newton, numbers, integers)
-        return State(q, best, step, numbers, integers)
+        rows = stored(lambda rows, at, limit: Rows.of(decided(rows.element, at, limit)), state.rows, merit, limit)
+        q, best, step = stored(lambda state, newton, rows: onward(state, newton, rows.element), state, newton, rows)
+        return State(q, best, step, rows)
 
-    return jax.lax.while_loop(lambda state: jnp.sum(state.open, dtype=leave.dtype) > leave, body, state)
+    return jax.lax.while_loop(lambda state: jnp.sum(state.phase.open, dtype=leave.dtype) > leave, body, state)
 
 
 def _pressed(of: _Shared, q: jax.Array, cold: jax.Array) -> Pressed:

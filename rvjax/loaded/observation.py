@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.compile_cache import QUICK
+from rvjax._jax.programs import QUICK
 from rvjax.loaded.conditions import Conditions, ways
 from rvjax.loaded.equilibrium import error_alone
 from rvjax.loaded.head import effects_of_a_head

@@ -1,17 +1,14 @@
 """Transmission error of a whole reducer along its turn, under load."""
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.compile_cache import quick
+from rvjax._jax.programs import quick
 from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
-from rvjax.loaded.equilibrium import newton_first
 from rvjax.loaded.instants import Instants, instants
 from rvjax.loaded.kinds import admit, check_input
 from rvjax.loaded.system import Layout
@@ -80,7 +77,7 @@ def revolution(
     if samples < 1:
         raise ValueError(f"samples = {samples}: must be at least 1")
     turns = 1 / layout.pins if turns is None else turns
-    return newton_first(partial(_revolution, samples), layout, design, errors, output_torque, turns)
+    return _revolution(samples, layout, design, errors, output_torque, turns)
 
 
 @quick(0, 1)

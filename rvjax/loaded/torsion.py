@@ -5,14 +5,13 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 
-from rvjax._jax.compile_cache import quick
-from rvjax._jax.varying import scan
+from rvjax._jax.kernels import scan
+from rvjax._jax.programs import quick
 from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
 from rvjax.loaded.case import placed, solve, turned
-from rvjax.loaded.equilibrium import newton_first
 from rvjax.loaded.kinds import admit, check_input, prepare
 from rvjax.loaded.newton import Found
 from rvjax.loaded.system import Layout
@@ -65,7 +64,7 @@ def torsion(
         ValueError: as `equilibrium`.
     """
     layout = check_input(design, errors, contact, carrier, sun)
-    return newton_first(_torsion, layout, design, errors, input_angle, rated_torque)
+    return _torsion(layout, design, errors, input_angle, rated_torque)
 
 
 @quick(0)

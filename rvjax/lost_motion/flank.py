@@ -12,7 +12,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax._jax.varying import fori_loop, while_loop
+from rvjax._jax.kernels import fori_loop, while_loop
 from rvjax.records import PyTree
 
 _WIDEST, _POINTS = 20.0, 256  # search over the whole flank, where the first-order minima are out of reach

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.varying import scan
+from rvjax._jax.kernels import scan
 from rvjax._reducer.plausible import checked
 from rvjax.records import Array, PyTree, Record, Scalar, concrete, field, promote, quantity, record
 

@@ -26,8 +26,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax._jax.blocks import LEFT_OPEN
 from rvjax._jax.elementary import power
+from rvjax._jax.sizes import LEFT_OPEN
 from rvjax.mesh_force import laws, line_contact, safe
 from rvjax.mesh_force.case import Case, all_rollers, lever
 from rvjax.mesh_force.laws import Compliance

@@ -18,9 +18,9 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from rvjax._ground.choices import choose
-from rvjax._jax.batching import TracedLate, along_lanes
-from rvjax._jax.blocks import ROLLER_CASES
 from rvjax._jax.elementary import LARGEST_ANGLE
+from rvjax._jax.kernels import BatchedKernel, along_lanes
+from rvjax._jax.sizes import ROLLER_CASES
 from rvjax._reducer.plausible import checked
 from rvjax.designs import CamRollerReducer, expect
 from rvjax.errors import CamRollerErrors
@@ -100,7 +100,7 @@ def _equilibrium_jvp(law: str, teeth: int, primals: PyTree, tangents: PyTree) ->
 @functools.lru_cache(maxsize=64)
 def _batched(law: str, teeth: int) -> Callable[[Case], Found]:
     """Batch (cases, ...) -> Found (cases, ...); vmap makes a larger batch of it."""
-    return along_lanes(TracedLate(functools.partial(_in_blocks, law, teeth), functools.partial(_shapes, teeth)))
+    return along_lanes(BatchedKernel(functools.partial(_in_blocks, law, teeth), functools.partial(_shapes, teeth)))
 
 
 def _shapes(teeth: int, case: Case) -> PyTree:

@@ -16,7 +16,7 @@ from typing import Any, Self, cast
 import jax
 import numpy as np
 
-from rvjax._jax.arguments import checked
+from rvjax._jax.checks import checked
 from rvjax.population.distribution import DISTRIBUTIONS, Distribution, Moments, bad, distribution_of
 from rvjax.population.distributions import classic, empirical, spectrum, von_mises
 from rvjax.records import Array, Record, Scalar, concrete, field, quantity, record, text

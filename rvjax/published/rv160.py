@@ -10,7 +10,7 @@ import numpy as np
 from scipy import optimize
 
 from rvjax import loaded
-from rvjax._jax.batching import in_blocks
+from rvjax._jax.kernels import in_blocks
 from rvjax.errors import RVErrors
 from rvjax.published.rv160_reducer import FITTED, MACHINE, MEASURED, NONE, RATED, SHAPES, TORQUE, pattern
 from rvjax.records import Scalar

@@ -13,8 +13,8 @@ import jax
 import numpy as np
 
 from rvjax import dynamics
-from rvjax._jax.batching import in_blocks
-from rvjax._jax.blocks import PUBLISHED
+from rvjax._jax.kernels import in_blocks
+from rvjax._jax.sizes import PUBLISHED
 from rvjax.catalogue import RV_320E
 from rvjax.designs import InvoluteStage, RVReducer
 from rvjax.published.rv320e_appendix import printed_stiffness

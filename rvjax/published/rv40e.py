@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.batching import in_blocks
+from rvjax._jax.kernels import in_blocks
 from rvjax.catalogue import RV_40E
 from rvjax.errors import RVErrors
 from rvjax.four_bar import LinkDeviations, solve_closure, transmission_error

@@ -6,7 +6,6 @@ from rvjax.response.devices import (
     units_on as units_on,
 )
 from rvjax.response.gradients import (
-    begin_gradients as begin_gradients,
     elements as elements,
     elements_and_rates as elements_and_rates,
     gradients as gradients,
@@ -14,7 +13,6 @@ from rvjax.response.gradients import (
 )
 from rvjax.response.parts import (
     Part as Part,
-    begin_programs as begin_programs,
     evaluator as evaluator,
     parts as parts,
     status_without_errors as status_without_errors,

@@ -2,21 +2,16 @@
 
 import contextlib
 import functools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.blocks import default_platform
+from rvjax._jax.sizes import default_platform
 from rvjax.population import TURN, Population, SobolPoints, drawn, key_of, root_key
-from rvjax.records import PyTree, Record
-from rvjax.response.response import R, Response, Values, per_response, respond
-
-UNITS = jax.sharding.PartitionSpec("units")
-NUMBERS = jax.sharding.PartitionSpec(None, "units")
-_EVERYWHERE = jax.sharding.PartitionSpec()
+from rvjax.response.response import EVERYWHERE, NUMBERS, Response, Values, respond
 
 _chosen: list[jax.Device] = []  # by `units_on`, for all threads
 
@@ -62,10 +57,7 @@ class Evaluator:
 
     def start(self, first: int) -> tuple[Values, jax.Array]:
         """Values and status of the chunk that begins with unit `first`, still being computed."""
-        z = self.z(first)
-        if self._mesh is None:
-            return respond(self._response, self._population, z)
-        return _respond_on(self._response, self._population, z, mesh=self._mesh)
+        return respond(self._response, self._population, self.z(first), mesh=self._mesh)
 
     def errors(self, first: int) -> dict[str, np.ndarray]:
         """Sampled errors of the chunk that begins with unit `first`, by field (*shape, n)."""
@@ -103,42 +95,8 @@ def _drawn_on(
         begin = first + jax.lax.axis_index("units").astype(jnp.uint32) * jnp.uint32(own)
         return population.draw(key, begin + jnp.arange(own, dtype=jnp.uint32))
 
-    specs = (_EVERYWHERE, _EVERYWHERE, _EVERYWHERE)
+    specs = (EVERYWHERE, EVERYWHERE, EVERYWHERE)
     return jax.shard_map(part, mesh=mesh, in_specs=specs, out_specs=NUMBERS, check_vma=False)(population, key, first)
-
-
-@per_response(static=("mesh",))
-def _respond_on(
-    response: Response, population: Population, z: jax.Array, *, mesh: jax.sharding.Mesh
-) -> tuple[Values, jax.Array]:
-    return shared_out(respond, mesh, UNITS, response, population, z)
-
-
-def shared_out(
-    function: Callable[..., R],
-    mesh: jax.sharding.Mesh,
-    out: PyTree,
-    response: Response,
-    population: Population,
-    *rows: jax.Array,
-) -> R:
-    """Return a function of a response, a population and arrays (numbers, units) whose units the devices share.
-
-    Args:
-        function: of all that follows.
-        mesh: devices, by `mesh_of`.
-        out: where units are in its results.
-        response: of one unit.
-        population: of the units.
-        *rows: arrays with units last.
-    """
-    if isinstance(response, Record):  # its numbers go in like those of the population; a plain function is none
-        given: Any = response, population
-        part: Any = lambda both, *rows: function(*both, *rows)  # noqa: E731
-    else:
-        given, part = population, functools.partial(function, response)
-    specs = (_EVERYWHERE, *(NUMBERS for _ in rows))
-    return jax.shard_map(part, mesh=mesh, in_specs=specs, out_specs=out, check_vma=False)(given, *rows)
 
 
 def mesh_of(units: int) -> jax.sharding.Mesh | None:

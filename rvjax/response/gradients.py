@@ -1,6 +1,5 @@
 """Gradients of a response to the errors of single units, by one program."""
 
-import functools
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -9,28 +8,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.blocks import PULLED, calls
+from rvjax._jax.sizes import PULLED, calls
 from rvjax.population import Population
-from rvjax.response.devices import NUMBERS, UNITS, mesh_of, on, shared_out
-from rvjax.response.response import Response, evaluate, is_costly, per_response, response_names
-from rvjax.response.solving import begin, pulls, sloped_together, solution
+from rvjax.response.devices import mesh_of, on
+from rvjax.response.response import NUMBERS, UNITS, Response, evaluate, is_costly, per_response, response_names
+from rvjax.response.solving import pulls, sloped_together, solution
 
 
-@per_response(static=("names", "mesh"))
-def _pulled_on(
-    response: Response,
-    population: Population,
-    errors: jax.Array,
-    cotangents: jax.Array,
-    *,
-    names: tuple[str, ...],
-    mesh: jax.sharding.Mesh,
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    of_names = functools.partial(pulled, names=names)
-    return shared_out(of_names, mesh, (NUMBERS, UNITS, NUMBERS), response, population, errors, cotangents)
-
-
-@per_response(static=("names",))
+@per_response(static=("names",), shared=(NUMBERS, UNITS, NUMBERS))
 def pulled(
     response: Response, population: Population, errors: jax.Array, cotangents: jax.Array, *, names: tuple[str, ...]
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -59,10 +44,7 @@ def _on_all_devices(
     response: Response, population: Population, errors: jax.Array, cotangents: jax.Array, *, names: tuple[str, ...]
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     mesh = mesh_of(errors.shape[1])
-    rows = on(mesh, errors), on(mesh, cotangents)
-    if mesh is None:
-        return pulled(response, population, *rows, names=names)
-    return _pulled_on(response, population, *rows, names=names, mesh=mesh)
+    return pulled(response, population, on(mesh, errors), on(mesh, cotangents), names=names, mesh=mesh)
 
 
 def gradients(
@@ -95,21 +77,6 @@ def gradients(
     parts = zip(*((value, slope) for value, _, slope in found))
     values, slopes = (np.concatenate([np.asarray(row, float) for row in part], axis=1) for part in parts)
     return values[:, : errors.shape[1]], slopes[:, : errors.shape[1]]
-
-
-def begin_gradients(response: Response, population: Population) -> None:
-    """Begin the program of the gradients, see `Compiled.begin`."""
-    if is_costly(response):
-        return begin(response, population, slopes=True)
-    names, size, dtype = response_names(response, population), sloped_together(), jnp.result_type(float)
-    mesh = mesh_of(size)
-    count = sum(math.prod(t.shape) for t in population.active.values())
-    arrays = [on(mesh, jnp.zeros((rows, size), dtype)) for rows in (count, len(names))]
-    if mesh is None:
-        pulled.begin(response, population, *arrays, names=names)
-    else:
-        _pulled_on.begin(response, population, *arrays, names=names, mesh=mesh)
-    return None
 
 
 def nominal_status(response: Response, population: Population) -> int:

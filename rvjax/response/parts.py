@@ -7,13 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._ground.progress import planned
-from rvjax._jax.blocks import PULLED, calls
+from rvjax._jax.sizes import PULLED, calls
 from rvjax.population import Population
 from rvjax.response.devices import Evaluator
-from rvjax.response.gradients import begin_gradients, elements, gradients
+from rvjax.response.gradients import elements, gradients
 from rvjax.response.response import Response, Values, is_costly, response_names
-from rvjax.response.solving import Errors, Solution, begin, pulls, solution, solve, without_errors
+from rvjax.response.solving import Errors, Solution, pulls, solution, solve, without_errors
 from rvjax.status import Status, succeeded, worst
 
 
@@ -107,7 +106,6 @@ class InParts(Evaluator):
     def __init__(self, response: Response, population: Population, seed: int, method: str, chunk: int) -> None:
         super().__init__(response, population, seed, method, chunk)
         self._parts = parts(response, population)
-        begin_programs(response, population)
 
     def start(self, first: int) -> tuple[Values, jax.Array]:
         """Values and status of the chunk that begins with unit `first`."""
@@ -132,22 +130,6 @@ def evaluator(response: Response, population: Population, seed: int, method: str
     """
     kind = InParts if is_costly(response) else Evaluator
     return kind(response, population, seed, method, chunk)
-
-
-def begin_programs(response: Response, population: Population, *, slopes: bool = False) -> None:
-    """Begin the programs of a costly response, see `Compiled.begin`: each is compiled while the next is traced.
-
-    Args:
-        response: in parts.
-        population: of the units.
-        slopes: with those of the gradients.
-    """
-    own = parts(response, population)
-    with planned(len(own) * (2 if slopes else 1)):
-        for part in own:
-            begin(part.response, population)
-        for part in own if slopes else ():
-            begin_gradients(part.response, population)
 
 
 def status_without_errors(response: Response, population: Population) -> int:

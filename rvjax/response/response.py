@@ -7,25 +7,19 @@ package its values are always a dict; a plain scalar is wrapped in `evaluate` an
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rvjax._ground.choices import UnknownWord, meant
-from rvjax._ground.progress import compiling
-from rvjax._jax.blocks import BLOCK as BLOCK, CPU, platform_of, spread
-from rvjax._jax.callbacks import called_back
-from rvjax._jax.compile_cache import Options, inside, kept_folder, understood
+from rvjax._jax.programs import Options, inside, kept_folder, understood
+from rvjax._jax.sizes import BLOCK as BLOCK, CPU, platform_of, spread
 from rvjax.population import Given, Population, drawn
 from rvjax.records import Array, PyTree, Record, field, record
 from rvjax.status import Status, succeeded, worst
-
-if TYPE_CHECKING:
-    from rvjax._jax.exported import Kept
 
 PLAIN = ""
 """Name of the value of a response that returns one scalar."""
@@ -50,14 +44,6 @@ class DesignResponse(Protocol):
     def __call__(self, errors: PyTree, values: dict[str, Any], /) -> PyTree: ...
 
 
-@dataclasses.dataclass
-class _Program:
-    """A program that the command line keeps, None where none can be kept, and its compilation in another thread."""
-
-    kept: "Kept | None"
-    begun: Future[Any] | None = None
-
-
 def _type_of(leaf: Any) -> object:
     """Type of a leaf of the arguments, by which a program is found."""
     if type(leaf) in (float, int, bool):
@@ -71,11 +57,8 @@ class Compiled(Generic[R]):
     A response that is a record is an argument like the others: its numbers are traced, so that ten thousand
     designs share one program and none of them is kept alive. A plain function is a constant of a program of
     its own; of these the last `PROGRAMS` are kept. `compiler_options` of a response, ((option of XLA, value), ...), are
-    those of its programs, but within another program. The command line keeps the traced programs of records, and
-    `begin` compiles them in other threads while the next ones are traced.
+    those of its programs, but within another program. The command line keeps the traced programs of records.
     """
-
-    _threads = ThreadPoolExecutor(2, "compile")  # 88.8 -> 83.5 s of the loaded study with one more
 
     def __init__(self, function: Callable[..., R], static: tuple[str, ...] = (), options: Options = ()) -> None:
         functools.update_wrapper(self, function)
@@ -88,7 +71,7 @@ class Compiled(Generic[R]):
             whole = functools.partial(function, response)
             return jax.jit(whole, static_argnames=static, compiler_options=understood(options))
 
-        self._flat: dict[Any, _Program] = {}
+        self._kept: dict[Any, Callable[[list[Any]], R] | None] = {}
         self._shared, self._own = functools.lru_cache(PROGRAMS)(shared), functools.lru_cache(PROGRAMS)(own)
 
     def _program(self, response: Function, options: Options = ()) -> tuple[jax.stages.Wrapped, tuple[Record, ...]]:
@@ -98,95 +81,96 @@ class Compiled(Generic[R]):
         return self._own(response, options), ()
 
     def __call__(self, response: Function, *arguments: PyTree, **static: object) -> R:
-        """The function's value."""
-        leaves = jax.tree.leaves((response, arguments))
+        """The function's value; a static argument that is None counts as absent."""
+        leaves, static = jax.tree.leaves((response, arguments)), _given(static)
         if inside(leaves):
             jitted, first = self._program(response)
             return jitted(*first, *arguments, **static)
         options = self._chosen(response, leaves)
         if isinstance(response, Record) and (folder := kept_folder()) is not None:
-            return self._kept(folder, options, (response, *arguments), static)
+            kept = self._of_folder(folder, options, (response, *arguments), static)
+            if kept is not None:
+                return kept(leaves)
         jitted, first = self._program(response, options)
         return jitted(*first, *arguments, **static)
-
-    def begin(self, response: Function, *arguments: PyTree, **static: object) -> R | None:
-        """Trace the program of such arguments and compile it while the caller goes on; later calls wait for it.
-
-        Only where the command line keeps programs. An error is raised by the call that waits.
-
-        Args:
-            response: as in the call.
-            arguments: likewise; their values do not count, and the program computes them once.
-            static: likewise.
-
-        Returns:
-            Shapes of the value; None where nothing was begun.
-        """
-        options = self._chosen(response, arguments)
-        if not isinstance(response, Record) or (folder := kept_folder()) is None:
-            return None
-        program, leaves = self._traced(folder, options, (response, *arguments), static)
-        kept = program.kept
-        if kept is None:
-            return None
-        if program.begun is None:
-            program.begun = self._threads.submit(lambda: jax.block_until_ready(kept.call(*kept.given(leaves))))
-            compiling(program.begun)
-        return kept.put_together(jax.eval_shape(kept.call, *kept.given(leaves)))
 
     def shapes(self, response: Function, *arguments: PyTree, **static: object) -> R:
         """Shapes of the function's value; traced once for arguments of the same types."""
         program, first = self._program(response)
         jitted: Any = program
-        found: R = jitted.eval_shape(*first, *arguments, **static)
+        found: R = jitted.eval_shape(*first, *arguments, **_given(static))
         return found
 
     def _chosen(self, response: Function, arguments: PyTree) -> Options:
         """Options of the program; they are those of a processor."""
         return (*getattr(response, "compiler_options", ()), *self._options) if platform_of(arguments) == CPU else ()
 
-    def _kept(self, folder: Path, options: Options, arguments: PyTree, static: dict[str, object]) -> R:
-        """The function's value, by a program that this or an earlier process has traced."""
-        program, leaves = self._traced(folder, options, arguments, static)
-        kept = program.kept
-        if kept is None:
-            return self._shared(options)(*arguments, **static)
-        if program.begun is not None:
-            program.begun.result()
-        return kept.put_together(kept.call(*kept.given(leaves)))
-
-    def _traced(
+    def _of_folder(
         self, folder: Path, options: Options, arguments: PyTree, static: dict[str, object]
-    ) -> "tuple[_Program, list[Any]]":
-        """A program and its leaves."""
+    ) -> Callable[[list[Any]], R] | None:
+        """A program of leaves that this or an earlier process has traced; None where none can be kept."""
         from rvjax._jax.exported import exported
 
         leaves, tree = jax.tree.flatten(arguments)
         # Not the types that JAX gives to a hundred Python numbers: hashing these took half of the time of a call.
         types = tuple(map(_type_of, leaves))
         key = (folder, platform_of(leaves), options, tree, types, tuple(sorted(static.items())))
-        known = self._flat.get(key)
-        if known is None:
-            found = exported(folder, self.__wrapped__, static, arguments)  # type: ignore[attr-defined]
-            found = found and found._replace(call=jax.jit(found.call, compiler_options=understood(options)))
-            known = self._flat[key] = _Program(found)
-        return known, leaves
+        if key not in self._kept:
+            self._kept[key] = exported(folder, self.__wrapped__, static, arguments, understood(options))  # type: ignore[attr-defined]
+        return self._kept[key]
 
-    def lowered(self, response: Function, *arguments: PyTree, **static: object) -> str:
-        """Text of the program, and of the Python functions that it calls back."""
+    def traced(self, response: Function, *arguments: PyTree) -> jax.stages.Traced:
+        """The program, traced."""
         jitted, first = self._program(response)
-        traced = jitted.trace(*first, *arguments, **static)
-        return str(traced.lower().as_text()) + called_back(traced.jaxpr)
+        return jitted.trace(*first, *arguments)
 
 
-def per_response(*, static: tuple[str, ...] = (), options: Options = ()) -> Callable[[Callable[..., R]], Compiled[R]]:
+def _given(static: dict[str, object]) -> dict[str, object]:
+    return {name: value for name, value in static.items() if value is not None}
+
+
+UNITS = jax.sharding.PartitionSpec("units")
+NUMBERS = jax.sharding.PartitionSpec(None, "units")
+EVERYWHERE = jax.sharding.PartitionSpec()
+
+
+def per_response(
+    *, static: tuple[str, ...] = (), options: Options = (), shared: PyTree = None
+) -> Callable[[Callable[..., R]], Compiled[R]]:
     """Compile a function whose first argument is a response.
 
     Args:
         static: names of arguments given by keyword.
         options: of XLA, with those of the response.
+        shared: of a function of a response, a population and arrays (numbers, units): where the units are in its
+            results, `UNITS` or `NUMBERS`. The devices of its further argument `mesh` share the units.
     """
-    return lambda function: Compiled(function, static, options)
+    if shared is None:
+        return lambda function: Compiled(function, static, options)
+    return lambda function: Compiled(_shared_out(function, shared), (*static, "mesh"), options)
+
+
+def _shared_out(function: Callable[..., R], out: PyTree) -> Callable[..., R]:
+    @functools.wraps(function)
+    def call(
+        response: Response,
+        population: Population,
+        *rows: jax.Array,
+        mesh: jax.sharding.Mesh | None = None,
+        **static: object,
+    ) -> R:
+        if mesh is None:
+            return function(response, population, *rows, **static)
+        if isinstance(response, Record):  # its numbers go in like those of the population; a plain function is none
+            given: Any = response, population
+            part: Any = lambda both, *rows: function(*both, *rows, **static)  # noqa: E731
+        else:
+            given, part = population, functools.partial(function, response, **static)
+        specs = (EVERYWHERE, *(NUMBERS for _ in rows))
+        return jax.shard_map(part, mesh=mesh, in_specs=specs, out_specs=out, check_vma=False)(given, *rows)
+
+    del call.__wrapped__  # JAX would read the arguments of that function
+    return call
 
 
 @record
@@ -276,7 +260,7 @@ def by_response(given: object, names: tuple[str, ...], kind: type, argument: str
     return {name: item for name, item in given.items() if item is not None}
 
 
-@per_response()
+@per_response(shared=UNITS)
 def respond(response: Response, population: Population, z: jax.Array) -> tuple[Values, jax.Array]:
     """Values (n,) by name and status (n,) of the units whose random numbers are z (numbers, n)."""
     one: Callable[[Any], Any] = lambda active: evaluate(response, population.fill(active))  # noqa: E731

@@ -13,12 +13,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.blocks import SLOPED, SOLVED, calls
-from rvjax._jax.marked import Marked
+from rvjax._jax.sizes import SLOPED, SOLVED, calls
+from rvjax._jax.solved_state import Marked
 from rvjax.population import Population
 from rvjax.records import Record
-from rvjax.response.devices import NUMBERS, UNITS, mesh_of, on, shared_out, units_devices
-from rvjax.response.response import Compiled, R, Response, Values, evaluate, per_response, response_names
+from rvjax.response.devices import mesh_of, on, units_devices
+from rvjax.response.response import NUMBERS, UNITS, Response, Values, evaluate, per_response, response_names
 
 Errors = Callable[[np.ndarray], jax.Array]  # of the indices of some units
 Solution = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -50,10 +50,7 @@ def solve(response: Response, population: Population, count: int, errors: Errors
     unit = np.argsort(place.T.ravel())
     for first in range(0, count, size):
         rows = on(mesh, jnp.where(first + unit < count, errors(np.minimum(first + unit, count - 1)), jnp.nan))
-        if mesh is None:
-            running.append(Units(*_solved(response, population, rows)))
-        else:
-            running.append(Units(*_solved_on(response, population, rows, mesh=mesh)))
+        running.append(Units(*_solved(response, population, rows, mesh=mesh)))
     order = place.T.ravel()
     return [
         jax.tree.map(lambda x, n=count - number * size: np.asarray(x)[..., order[:n]], found)
@@ -88,41 +85,8 @@ def pulls(
     for lanes in calls(errors.shape[1], size):
         given: Any = [np.asarray(each[:, lanes], dtype) for each in (errors, state, cotangents)]
         rows = [on(mesh, each) for each in given]
-        if mesh is None:
-            found.append(_pulled(response, population, *rows))
-        else:
-            found.append(_pulled_on(response, population, *rows, mesh=mesh))
+        found.append(_pulled(response, population, *rows, mesh=mesh))
     return np.concatenate([np.asarray(row, float) for row in found], axis=1)[:, : errors.shape[1]]
-
-
-def begin(response: Response, population: Population, *, slopes: bool = False) -> None:
-    """Begin the program that solves, see `Compiled.begin`, and the one for gradients.
-
-    Args:
-        response: as in `solve`.
-        population: as in `solve`.
-        slopes: with the one for gradients.
-    """
-    none = jnp.full_like(without_errors(population, _solved_together()), jnp.nan)
-    solving = _begun(_solved, _solved_on, response, population, none)
-    if slopes and solving is not None:
-        counts = len(none), len(solving[2]), len(response_names(response, population))
-        rows = [jnp.zeros((count, sloped_together()), none.dtype) for count in counts]
-        _begun(_pulled, _pulled_on, response, population, *rows)
-
-
-def _begun(
-    one: Compiled[R],
-    shared: Compiled[R],
-    response: Response,
-    population: Population,
-    *rows: jax.Array,
-) -> R | None:
-    mesh = mesh_of(rows[0].shape[1])
-    rows = tuple(on(mesh, each) for each in rows)
-    return (
-        one.begin(response, population, *rows) if mesh is None else shared.begin(response, population, *rows, mesh=mesh)
-    )
 
 
 def _solved_together() -> int:
@@ -165,7 +129,7 @@ class _Traced(NamedTuple):
         return cls(Marked.of(function, *first, jax.ShapeDtypeStruct(errors.shape[:1], errors.dtype), free), first)
 
 
-@per_response()
+@per_response(shared=(UNITS, UNITS, NUMBERS))
 def _solved(response: Response, population: Population, errors: jax.Array) -> tuple[Values, jax.Array, jax.Array]:
     free = _free(population, errors)
     unit, first = _Traced.of(response, population, errors, free)
@@ -178,7 +142,7 @@ def _solved(response: Response, population: Population, errors: jax.Array) -> tu
     return jax.vmap(one, in_axes=-1, out_axes=(0, 0, -1))(errors)
 
 
-@per_response()
+@per_response(shared=NUMBERS)
 def _pulled(
     response: Response, population: Population, errors: jax.Array, state: jax.Array, cotangents: jax.Array
 ) -> jax.Array:
@@ -200,23 +164,3 @@ def _pulled(
 def _free(population: Population, errors: jax.Array) -> dict[str, jax.Array]:
     """Numbers of the design, by name."""
     return {name: jnp.asarray(value, errors.dtype) for name, value in sorted((population.values or {}).items())}
-
-
-@per_response(static=("mesh",))
-def _solved_on(
-    response: Response, population: Population, errors: jax.Array, *, mesh: jax.sharding.Mesh
-) -> tuple[Values, jax.Array, jax.Array]:
-    return shared_out(_solved, mesh, (UNITS, UNITS, NUMBERS), response, population, errors)
-
-
-@per_response(static=("mesh",))
-def _pulled_on(
-    response: Response,
-    population: Population,
-    errors: jax.Array,
-    state: jax.Array,
-    cotangents: jax.Array,
-    *,
-    mesh: jax.sharding.Mesh,
-) -> jax.Array:
-    return shared_out(_pulled, mesh, NUMBERS, response, population, errors, state, cotangents)

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax._jax.compile_cache import quick
-from rvjax._jax.varying import while_loop
+from rvjax._jax.kernels import while_loop
+from rvjax._jax.programs import quick
 from rvjax._reducer.plausible import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import Bearings, Friction, RVReducer

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
-from rvjax._jax.arguments import checked
-from rvjax._jax.compile_cache import quick
+from rvjax._jax.checks import checked
+from rvjax._jax.programs import quick
 from rvjax.records import Array, Record, concrete, field, promote, record
 from rvjax.units import with_unit
 

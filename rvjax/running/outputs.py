@@ -7,7 +7,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from rvjax._jax.compile_cache import QUICK
+from rvjax._jax.programs import QUICK
 from rvjax.catalogue import part_class
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import RVReducer

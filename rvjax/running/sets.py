@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.compile_cache import quick
+from rvjax._jax.programs import quick
 from rvjax.designs import Friction
 from rvjax.loaded import ways
 from rvjax.outputs import Solved, Source

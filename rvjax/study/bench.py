@@ -12,7 +12,7 @@ import numpy as np
 
 from rvjax import models
 from rvjax._ground.choices import unknown
-from rvjax._jax.compile_cache import Options
+from rvjax._jax.programs import Options
 from rvjax.errors import described, read_by
 from rvjax.measured import Conditions
 from rvjax.outputs import Observation, torque_of

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rvjax import identify, models
-from rvjax._jax.blocks import padded
+from rvjax._jax.sizes import padded
 from rvjax.measured import GRID, KINDS, Conditions, Judged, Loop, Measured, Run, Tones, checked, judge
 from rvjax.outputs import Observation, torque_of
 from rvjax.records import Design, PyTree

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from rvjax import models
 from rvjax._ground.choices import unknown
-from rvjax._jax.compile_cache import ONCE
+from rvjax._jax.programs import ONCE
 from rvjax.errors import described
 from rvjax.levels import Choice
 from rvjax.outputs import Joint, Reading, Solved, Source

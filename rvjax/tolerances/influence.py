@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rvjax._jax.blocks import AT_ONCE, PULLED, calls
+from rvjax._jax.sizes import AT_ONCE, PULLED, calls
 from rvjax.population import Estimate, Population, deviate_of, one_decides, root_key, skewed, unknown_share
 from rvjax.records import PyTree
 from rvjax.response import BLOCK, Part, Response, elements, is_costly, numbers_of, parts, respond

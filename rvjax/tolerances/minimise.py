@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._ground.progress import progress_bar
-from rvjax._jax.arguments import checked
+from rvjax._jax.checks import checked
 from rvjax.population import Estimate, Population, of_groups, student
 from rvjax.response import Response
 from rvjax.status import SolveInfo, Status

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.arguments import checked
-from rvjax._jax.blocks import PULLED
+from rvjax._jax.checks import checked
+from rvjax._jax.sizes import PULLED
 from rvjax.population import Correlation, Population, batch_correlation, drawn, root_key
 from rvjax.records import PyTree
 from rvjax.response import (

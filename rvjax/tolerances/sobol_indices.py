@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._ground import frames
-from rvjax._jax.arguments import checked
-from rvjax._jax.blocks import padded
+from rvjax._jax.checks import checked
+from rvjax._jax.sizes import padded
 from rvjax.population import (
     SCRAMBLES,
     Correlation,

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.arguments import checked
-from rvjax._jax.batching import in_blocks
-from rvjax._jax.blocks import CORNERS
+from rvjax._jax.checks import checked
+from rvjax._jax.kernels import in_blocks
+from rvjax._jax.sizes import CORNERS
 from rvjax.population import Population
 from rvjax.records import PyTree
 from rvjax.response import Response, by_name, evaluate, per_response, response_names

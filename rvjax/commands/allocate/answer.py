@@ -143,16 +143,15 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None, me
     curves = _curves(study, response, population)
     chunk = BLOCK if study.middles else min(study.samples, BLOCK)  # of the search
     found = influences(response, allocation.tolerances, seed=study.seed, chunk=chunk)
-    sides = [
-        _side(study, response, study.tolerances, before, curves, {}),
-        _side(study, response, allocation.tolerances, certificate, curves, found),
-    ]
+    own = _side(study, response, study.tolerances, before, curves, {})
+    cheapest = _side(study, response, allocation.tolerances, certificate, curves, found)
     begin(PRICING)
     return Answer(
         study,
         allocation,
         before,
-        *sides,
+        own,
+        cheapest,
         cost_curve=_cost_curve(study, allocation),
         whole=whole(study, allocation.tolerances) if measure else None,
         unlimited=unlimited(study, allocation.tolerances) if measure else {},

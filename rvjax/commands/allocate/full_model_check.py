@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import models
-from rvjax._jax.blocks import AT_ONCE
+from rvjax._jax.sizes import AT_ONCE
 from rvjax.commands.sections.cells import limit_text, share
 from rvjax.errors import described
 from rvjax.population import Estimate, Population, deviate_of, drawn, root_key, score_interval

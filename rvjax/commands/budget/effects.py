@@ -7,7 +7,7 @@ from typing import TypeVar
 import numpy as np
 
 from rvjax._ground.choices import choose
-from rvjax._jax.blocks import AT_ONCE
+from rvjax._jax.sizes import AT_ONCE
 from rvjax.errors import STAGES, described
 from rvjax.population import Population
 from rvjax.study import Study

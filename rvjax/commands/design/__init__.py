@@ -7,7 +7,7 @@ from typing import Any
 
 from rvjax import study
 from rvjax._ground.files import versions
-from rvjax._jax.marked import moving
+from rvjax._jax.solved_state import moving
 from rvjax._reducer.plausible import steep
 from rvjax.commands.allocate import stored_result
 from rvjax.commands.console import READING, WRITING, share_cores

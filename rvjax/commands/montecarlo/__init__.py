@@ -8,7 +8,7 @@ from typing import Any
 
 from rvjax import tolerances
 from rvjax._ground import progress
-from rvjax._jax.blocks import CHUNK
+from rvjax._jax.sizes import CHUNK
 from rvjax.commands.console import READING, share_cores, units_placed
 from rvjax.commands.forecast import forewarn, unit_seconds
 from rvjax.commands.inputs import Inputs, option, quiet_option, study_argument, switch, whole_number

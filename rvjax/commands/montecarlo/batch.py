@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rvjax import study, tolerances
-from rvjax._jax.blocks import CHUNK
 from rvjax._jax.distributed import meet
+from rvjax._jax.sizes import CHUNK
 from rvjax.tolerances import Folder, Processes, Statistics, UnitFile, take
 
 if TYPE_CHECKING:

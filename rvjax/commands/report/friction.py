@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rvjax import models
-from rvjax._jax.compile_cache import QUICK
+from rvjax._jax.programs import QUICK
 from rvjax.population import Population, drawn, root_key
 from rvjax.records import Design, PyTree, Record, field, record, text
 from rvjax.render import Content, Figure, Note, Number, Section, Share, Table, Text, Titled

@@ -17,7 +17,7 @@ from functools import cached_property
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.blocks import calls
+from rvjax._jax.sizes import calls
 from rvjax.population import Population, Tolerance
 from rvjax.response import BLOCK, Part, elements, is_costly, respond
 

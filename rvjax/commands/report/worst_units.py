@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rvjax._jax.blocks import PULLED, padded
+from rvjax._jax.sizes import PULLED, padded
 from rvjax.commands.allocate import Answer
 from rvjax.outputs import Output
 from rvjax.population import Population, root_key

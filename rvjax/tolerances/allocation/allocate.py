@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 from rvjax._ground.progress import progress_bar
-from rvjax._jax.arguments import checked
+from rvjax._jax.checks import checked
 from rvjax.population import Correlation
 from rvjax.response import DesignResponse, Response, unwrapped
 from rvjax.tolerances.allocation.problem import problem_of

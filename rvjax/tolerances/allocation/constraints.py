@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy import special
 
-from rvjax._jax.blocks import PULLED
+from rvjax._jax.sizes import PULLED
 from rvjax.population import first_points
 from rvjax.response import response_names
 from rvjax.tolerances.allocation.decisions import AT, Decisions

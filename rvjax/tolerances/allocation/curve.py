@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rvjax._ground.choices import choose
-from rvjax._jax.arguments import checked
+from rvjax._jax.checks import checked
 from rvjax.response import Response
 from rvjax.tolerances.allocation.allocate import allocate
 from rvjax.tolerances.allocation.result import Allocation

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.blocks import PULLED, calls, padded
+from rvjax._jax.sizes import PULLED, calls, padded
 from rvjax.population import Population
 from rvjax.response import BLOCK, Part, Response, elements, elements_and_rates, gradients, is_costly, parts, respond
 from rvjax.status import succeeded

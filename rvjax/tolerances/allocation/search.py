@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from rvjax.response import begin_programs
 from rvjax.tolerances.allocation.certificate import TESTS, Certifier
 from rvjax.tolerances.allocation.constraints import FEW, SPARE, Constraints
 from rvjax.tolerances.allocation.decisions import ROUNDING
@@ -90,8 +89,6 @@ class Search:
         """The end of the search on the last sample, before any certificate."""
         problem, constraints, decisions = self.problem, self.constraints, self.decisions
         start = decisions.start
-        if problem.costly:
-            begin_programs(problem.response, decisions.population(start), slopes=True)
         for k, row in enumerate(constraints.rows):
             if row.share:
                 constraints.rejects[k] = self.certifier.wanted(constraints, k)

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax.interpreters import partial_eval
 
-from rvjax._jax.arguments import number
+from rvjax._jax.checks import number
 from rvjax.population import Population, Tolerance
 from rvjax.records import Array
 from rvjax.response import Response, evaluate

@@ -1,10 +1,15 @@
-"""Numbers of the chunks that a state of a run counts, as ranges: any set of them takes little memory."""
+"""Chunks of a run: their numbers as ranges, any set of which takes little memory, and their units in order."""
 
 import dataclasses
-from collections.abc import Iterable, Iterator
+import itertools
+from collections.abc import Callable, Iterable, Iterator
 from typing import Self
 
 import numpy as np
+
+from rvjax.records import PyTree
+
+Start = Callable[[int], tuple[dict[str, PyTree], PyTree]]  # first unit -> values and status, still computed
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,3 +93,25 @@ class Chunks:
     def array(self) -> np.ndarray:
         """Ranges as rows (n, 2)."""
         return np.array(self.ranges, np.int64).reshape(-1, 2)
+
+
+def in_order(
+    start: Start, numbers: Chunks, chunk: int, samples: int
+) -> Iterator[tuple[int, dict[str, np.ndarray], np.ndarray]]:
+    """Number, values and status of each chunk; the device computes the next one while the host reads this one.
+
+    Args:
+        start: begins to evaluate the chunk with this first unit.
+        numbers: of the chunks.
+        chunk: units of a chunk.
+        samples: units of the run.
+    """
+    before = None
+    for number in itertools.chain(numbers, [None]):
+        begun = None if number is None else (number, start(number * chunk))
+        if before is not None:
+            done, (values, status) = before
+            # The last chunk is evaluated as long as the others, and cut here: nothing is compiled twice.
+            count = min(chunk, samples - done * chunk)
+            yield done, {name: np.asarray(v)[:count] for name, v in values.items()}, np.asarray(status)[:count]
+        before = begun

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from rvjax._jax.arguments import checked
+from rvjax._jax.checks import checked
 from rvjax.population import SCRAMBLES, Correlation, Population, check_method, deviate_of
 from rvjax.records import PyTree
 from rvjax.response import Response, by_response, response_names, unwrapped

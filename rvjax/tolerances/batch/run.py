@@ -12,14 +12,12 @@ import numpy as np
 
 from rvjax._ground.files import DAMAGE, pack, unpack, versions
 from rvjax._ground.progress import progress_bar
-from rvjax._jax.callbacks import UnseenFunction
 from rvjax._jax.distributed import Store, place
 from rvjax.population import SCRAMBLES, Estimate, Population, Sampled
 from rvjax.records import PyTree
 from rvjax.response import Response, evaluator
 from rvjax.status import PRECEDENCE
 from rvjax.tolerances.batch.accumulator import Accumulator
-from rvjax.tolerances.batch.ahead import ahead_of, in_order
 from rvjax.tolerances.batch.checkpoint import (
     LARGEST,
     Checkpoint,
@@ -29,7 +27,7 @@ from rvjax.tolerances.batch.checkpoint import (
     parts_of,
     response_hash,
 )
-from rvjax.tolerances.batch.chunks import Chunks
+from rvjax.tolerances.batch.chunks import Chunks, in_order
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.batch.processes import Alone, Processes, agree, take
 from rvjax.tolerances.batch.quantiles import quantile_estimate
@@ -176,10 +174,12 @@ class Run:
         """
         counted, file, again, number = self._empty(keeps=self.keep), None, self.save is not None, group.number
         if self.checkpoint is not None:
-            try:
-                study["response"] = response_hash(self.response, self.population)
-            except UnseenFunction as error:
-                raise ValueError(f"checkpoint = {str(self.checkpoint)!r}: {error}; run without a checkpoint") from None
+            if (found := response_hash(self.response, self.population)) is None:
+                raise ValueError(
+                    f"checkpoint = {str(self.checkpoint)!r}: the response calls a Python function (jax.pure_callback), "
+                    "which cannot be compared with that of another run; run without a checkpoint"
+                )
+            study["response"] = found
             if number == 0:
                 counted, file = self._taken_in(study | versions())
                 again |= bool(counted.values) and not counted.complete
@@ -276,7 +276,7 @@ class Run:
             return counted.state(counted.chunks.stop * chunk)
 
         with progress_bar(self.progress, total, label, "unit", initial=total - own) as advance:
-            for number, values, status in in_order(start, numbers, chunk, samples, ahead_of(evaluated)):
+            for number, values, status in in_order(start, numbers, chunk, samples):
                 try:
                     group.check()
                 except ValueError:

@@ -6,8 +6,8 @@ import math
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.arguments import checked
-from rvjax._jax.blocks import SEARCHES, TESTED
+from rvjax._jax.checks import checked
+from rvjax._jax.sizes import SEARCHES, TESTED
 from rvjax.population import Correlation, Estimate, Population, clopper_pearson, deviate_of, rare, skewed, student
 from rvjax.records import PyTree
 from rvjax.response import Response, by_name, by_response, response_names

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
-from rvjax._jax.blocks import SEARCHES, TESTED, padded
+from rvjax._jax.sizes import SEARCHES, TESTED, padded
 from rvjax.population import Population
 from rvjax.response import Response, evaluate, per_response, respond
 from rvjax.roots import bisect

@@ -14,7 +14,7 @@ from importlib import resources
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.compile_cache import ONCE, quick
+from rvjax._jax.programs import ONCE, quick
 from rvjax._reducer.plausible import sharp_from, shown
 from rvjax.designs import InvoluteStage, RVReducer
 from rvjax.geometry import contact_ratio

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.typing import DTypeLike
 
 PATIENCE = 8  # full steps without a new lowest energy; 4 takes a tenth more points, see benchmarks/NOTES.md
 SEARCHES = 30  # points on a line at most
@@ -75,32 +74,45 @@ class Element(NamedTuple):
     end: End
 
 
-_NUMBERS, _INTEGERS = (Best, Line, Reached), (Counts, Phase, End)  # rows of the two arrays of a state, in this order
+_NUMBERS, _INTEGERS = (Best, Line, Reached), (Counts, Phase, End)  # of an element, in this order
+
+
+class Rows(NamedTuple):
+    """Elements as two arrays, because XLA copies every array of a loop: a step has 18 copies, with one array for each
+    field 68, next to about 90 kernels (counted in the compiled program, not timed)."""
+
+    numbers: jax.Array  # (10, l)
+    integers: jax.Array  # (9, l)
+
+    @classmethod
+    def of(cls, element: Element) -> "Rows":
+        """Rows of elements."""
+        size, dtype = element.phase.open.shape, element.line.share.dtype
+        numbers = [jnp.broadcast_to(x, size).astype(dtype) for x in itertools.chain(*element[:3])]
+        integers = [jnp.broadcast_to(x, size).astype(jnp.int32) for x in itertools.chain(*element[3:])]
+        return cls(jnp.stack(numbers), jnp.stack(integers))
+
+    @property
+    def element(self) -> Element:
+        """The elements again."""
+        counts = len(Counts._fields)
+        rows = itertools.chain(self.numbers, self.integers[:counts], self.integers[counts:] != 0)
+        groups = (cls(*itertools.islice(rows, len(cls._fields))) for cls in (*_NUMBERS, *_INTEGERS))
+        return Element(*groups)  # type: ignore[arg-type]
 
 
 class State(NamedTuple):
-    """State of a block. An `Element` is packed in two arrays, because a kernel copies every array of a loop."""
+    """State of a block."""
 
     q: jax.Array  # (n, l); the last point once an element is not open
     best: jax.Array  # (n, l)
     step: jax.Array  # (n, l) Newton's step from the best point
-    numbers: jax.Array  # (10, l)
-    integers: jax.Array  # (9, l)
+    rows: Rows
 
     @property
-    def open(self) -> jax.Array:
-        """Mark of each element (l,) that has not ended."""
-        return _mark(self.integers, "open")
-
-    @property
-    def cold(self) -> jax.Array:
-        """Mark of each element (l,) before the linear step."""
-        return _mark(self.integers, "cold")
-
-
-def _mark(integers: jax.Array, name: str) -> jax.Array:
-    """One of the marks of `Phase`, without the other rows."""
-    return integers[len(Counts._fields) + Phase._fields.index(name)] != 0
+    def phase(self) -> Phase:
+        """Marks of the elements."""
+        return self.rows.element.phase
 
 
 class Merit(NamedTuple):
@@ -135,36 +147,17 @@ def begun(q: jax.Array, seated: jax.Array, cold: jax.Array, steps: jax.Array) ->
         phase=Phase(searching=no, cold=cold, open=seated, better=no),
         end=End(no, no, no),
     )
-    return State(q, q, jnp.zeros_like(q), *packed(element, q.dtype))
+    return State(q, q, jnp.zeros_like(q), Rows.of(element))
 
 
-def packed(element: Element, dtype: DTypeLike) -> tuple[jax.Array, jax.Array]:
-    """Numbers, and integers with marks, of an element."""
-    size, first = element.phase.open.shape, len(_NUMBERS)
-    numbers = [jnp.broadcast_to(x, size).astype(dtype) for x in itertools.chain(*element[:first])]
-    return jnp.stack(numbers), jnp.stack(
-        [jnp.broadcast_to(x, size).astype(jnp.int32) for x in itertools.chain(*element[first:])]
-    )
-
-
-def unpacked(numbers: jax.Array, integers: jax.Array) -> Element:
-    """Inverse of `packed`."""
-    counts = len(Counts._fields)
-    rows = itertools.chain(numbers, integers[:counts], integers[counts:] != 0)
-    groups = (cls(*itertools.islice(rows, len(cls._fields))) for cls in (*_NUMBERS, *_INTEGERS))
-    return Element(*groups)  # type: ignore[arg-type]
-
-
-def decided(numbers: jax.Array, integers: jax.Array, at: Merit, limit: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Numbers and integers of every element after a point, from those before it.
+def decided(last: Element, at: Merit, limit: jax.Array) -> Element:
+    """Every element after a point.
 
     Args:
-        numbers: of the state.
-        integers: of the state.
+        last: before it.
         at: the point.
         limit: steps at most.
     """
-    last = unpacked(numbers, integers)
     best, phase, stall = last.best, last.phase, last.counts.stall
     live, cold, searching = phase.open, phase.cold, phase.searching
     usable = at.fine & (~at.over | (at.energy < best.energy))  # beyond the contact law if it is better there
@@ -181,7 +174,7 @@ def decided(numbers: jax.Array, integers: jax.Array, at: Merit, limit: jax.Array
     stall = jnp.where(better | cold, 0, stall + 1)
     enters = ~better & ~searching & ((stall >= PATIENCE) | (~usable & ~cold))
     steps = last.counts.steps + (~(done | cold | searching)).astype(jnp.int32)  # points of a line are none
-    element = Element(
+    return Element(
         best=Best(jnp.where(better, at.energy, best.energy), jnp.where(better, at.slope, best.slope)),
         line=_narrowed(last, slope, full_slope, enters),
         reached=Reached(
@@ -201,7 +194,6 @@ def decided(numbers: jax.Array, integers: jax.Array, at: Merit, limit: jax.Array
             finite=jnp.where(live, ~failed, last.end.finite),
         ),
     )
-    return packed(element, numbers.dtype)
 
 
 def _narrowed(last: Element, slope: jax.Array, full_slope: jax.Array, enters: jax.Array) -> Line:
@@ -219,18 +211,14 @@ def _narrowed(last: Element, slope: jax.Array, full_slope: jax.Array, enters: ja
     return Line(full_slope, lower, lower_slope, upper, upper_slope, lower + (upper - lower) * secant)
 
 
-def onward(
-    last: State, newton: jax.Array, numbers: jax.Array, integers: jax.Array
-) -> tuple[jax.Array, jax.Array, jax.Array]:
+def onward(last: State, newton: jax.Array, element: Element) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Next point of every open element, its best point and the step from there; the final point once it has ended.
 
     Args:
         last: the state before.
         newton: Newton's step from its point (n, l).
-        numbers: after that point.
-        integers: after that point.
+        element: after that point.
     """
-    element = unpacked(numbers, integers)
     phase = element.phase
     best, step = (jnp.where(phase.better[None], new, old) for new, old in ((last.q, last.best), (newton, last.step)))
     whole = last.q + newton
@@ -240,4 +228,4 @@ def onward(
     ended = jnp.where(element.end.converged[None], exact, jnp.where(jnp.isinf(element.best.energy)[None], 0, best))
     point = jnp.where(phase.searching[None], best + element.line.share[None] * step, whole)
     point = jnp.where(phase.cold[None], 0, point)
-    return jnp.where(last.open[None], jnp.where(phase.open[None], point, ended), last.q), best, step
+    return jnp.where(last.phase.open[None], jnp.where(phase.open[None], point, ended), last.q), best, step

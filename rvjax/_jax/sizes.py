@@ -3,7 +3,8 @@
 A block is what a loop of a program computes together, a call what the host gives to a program together. Both depend on
 the platform: the arrays of a block fit the cache of a core, and a GPU computes 17,000 cases at once. The size of a
 block is read where a program is lowered, that of a call where its arrays are placed. A process with a GPU may compute
-on its processor, so neither follows the default of the process.
+on its processor, so neither follows the default of the process: `lowering` is a context that is part of the key under
+which JAX keeps what it traced. Gain: a loaded unit of 24 angles takes 3.3 instead of 342 us on a GPU.
 """
 
 import sys

@@ -1,6 +1,10 @@
 """A function in the place of its jaxpr: what `roots.solved` marks is read, or given and not computed again.
 
-And what the jaxpr of its derivatives reads.
+`roots.solved` gives what an iteration found a name in the program. `Marked` evaluates the jaxpr equation by equation:
+`with_state` collects the named values, `from_state` takes them from a vector and skips all that only leads to them. So
+gradients need no second solve. Gain: 256 units with transmission error and life take 17.5 instead of 26.4 CPU s in the
+first call, 108 instead of 224 ms in a later one, with the same bits. `moving` reads off the jaxpr of the derivatives
+which numbers a result depends on: no gain in time.
 """
 
 from collections.abc import Callable, Mapping

@@ -1,26 +1,41 @@
-"""Functions of whole batches under `jax.vmap`, such as separate treatment of a few batch elements."""
+"""Functions of whole batches: a primitive with a rule of its own for `jax.vmap`, stored results, folded sums, loops.
+
+`BatchedKernel` is a primitive whose parameter is a function. Its types come from a function of shapes, `jax.vmap` calls
+its rule, which calls the kernel again with a larger batch, and the function is traced once, where the whole program is
+lowered. Gain: tracing and lowering the values of a loaded study takes 6.5 instead of 13.1 CPU s, its gradients 6.3
+instead of 6.8. The other functions keep XLA from computing a number again for each of its readers, or from reductions
+without vectors; each states its gain.
+
+Within `jax.shard_map` the checks of JAX give a number a type: the mesh axes over which it varies. JAX brings the
+operands of an operation to one type, but neither the state of a loop nor the right side of a linear solve; the loops
+here and `like` do. Outside of `jax.shard_map` they leave all as it is. No gain in time: the models pass these checks.
+"""
 
 import functools
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax._src import config
 from jax.extend.core import Primitive
 from jax.interpreters import batching, mlir
 
-from rvjax._jax import blocks, varying
+from rvjax._jax import sizes
 from rvjax.records import PyTree
 
 Result = TypeVar("Result")
+State = TypeVar("State")
+Axes = frozenset[Any]
 
 
-_traced_late = Primitive("traced_late")
-_traced_late.multiple_results = True
+_batched_kernel = Primitive("batched_kernel")
+_batched_kernel.multiple_results = True
 
 
-class TracedLate:
+class BatchedKernel:
     """A function with a rule of its own under `jax.vmap`, traced once: when the program that calls it is lowered.
 
     `jax.custom_batching.custom_vmap` traces it for one case and again at every level of `jax.vmap`: two or three times
@@ -40,8 +55,8 @@ class TracedLate:
 
     def __call__(self, *arguments: PyTree) -> PyTree:
         """The results."""
-        leaves, tree = jax.tree.flatten(varying.like(arguments))
-        found = _traced_late.bind(*leaves, late=self, tree=tree)
+        leaves, tree = jax.tree.flatten(like(arguments))
+        found = _batched_kernel.bind(*leaves, kernel=self, tree=tree)
         return jax.tree.unflatten(jax.tree.structure(self._shapes(*arguments)), found)
 
     def flat(self, *leaves: Any, tree: Any) -> list[jax.Array]:
@@ -54,41 +69,41 @@ class TracedLate:
         return [leaves[0].update(shape=leaf.shape, dtype=leaf.dtype, weak_type=False) for leaf in found]
 
 
-@functools.partial(jax.jit, static_argnames=("late", "tree"))
-def _computed(*leaves: Any, late: TracedLate, tree: Any) -> list[jax.Array]:
-    return _traced_late.bind(*leaves, late=late, tree=tree)
+@functools.partial(jax.jit, static_argnames=("kernel", "tree"))
+def _computed(*leaves: Any, kernel: BatchedKernel, tree: Any) -> list[jax.Array]:
+    return _batched_kernel.bind(*leaves, kernel=kernel, tree=tree)
 
 
 def _lowered(platform: str) -> Callable[..., Any]:
     """The rule that lowers the function for a platform."""
 
-    def computed(*leaves: Any, late: TracedLate, tree: Any) -> list[jax.Array]:
-        with blocks.lowering(platform):
-            return late.flat(*leaves, tree=tree)
+    def computed(*leaves: Any, kernel: BatchedKernel, tree: Any) -> list[jax.Array]:
+        with sizes.lowering(platform):
+            return kernel.flat(*leaves, tree=tree)
 
     lower = mlir.lower_fun(computed, multiple_results=True)
 
     def rule(ctx: Any, *leaves: Any, **parameters: Any) -> Any:
-        with varying.unchecked():
-            return lower(ctx.replace(avals_in=[*map(varying.unvarying, ctx.avals_in)]), *leaves, **parameters)
+        with unchecked():
+            return lower(ctx.replace(avals_in=[*map(unvarying, ctx.avals_in)]), *leaves, **parameters)
 
     return rule
 
 
-def _batched(leaves: Any, axes: Any, *, late: TracedLate, tree: Any) -> tuple[list[jax.Array], list[int]]:
+def _batched(leaves: Any, axes: Any, *, kernel: BatchedKernel, tree: Any) -> tuple[list[jax.Array], list[int]]:
     own = [axis is not None for axis in axes]
     size = next(leaf.shape[axis] for leaf, axis, is_own in zip(leaves, axes, own) if is_own)
     moved = [jnp.moveaxis(leaf, axis, 0) if is_own else leaf for leaf, axis, is_own in zip(leaves, axes, own)]
-    assert late.rule is not None
-    found = jax.tree.leaves(late.rule(size, jax.tree.unflatten(tree, own), *jax.tree.unflatten(tree, moved)))
+    assert kernel.rule is not None
+    found = jax.tree.leaves(kernel.rule(size, jax.tree.unflatten(tree, own), *jax.tree.unflatten(tree, moved)))
     return found, [0] * len(found)
 
 
-_traced_late.def_impl(_computed)
-_traced_late.def_abstract_eval(lambda *leaves, late, tree: late.types(*leaves, tree=tree))
-batching.primitive_batchers[_traced_late] = _batched
-mlir.register_lowering(_traced_late, _lowered(blocks.GPU))
-mlir.register_lowering(_traced_late, _lowered(blocks.CPU), platform=blocks.CPU)
+_batched_kernel.def_impl(_computed)
+_batched_kernel.def_abstract_eval(lambda *leaves, kernel, tree: kernel.types(*leaves, tree=tree))
+batching.primitive_batchers[_batched_kernel] = _batched
+mlir.register_lowering(_batched_kernel, _lowered(sizes.GPU))
+mlir.register_lowering(_batched_kernel, _lowered(sizes.CPU), platform=sizes.CPU)
 
 
 def along_lanes(function: Callable[..., Result]) -> Callable[..., Result]:
@@ -146,8 +161,8 @@ def once_more(
     def repair(arguments: PyTree, found: jax.Array, todo: jax.Array) -> jax.Array:
         lanes = max(len(leaf) for leaf in jax.tree.leaves((arguments, found, todo)))
         found, todo = (jnp.broadcast_to(x, (lanes,)) for x in (found, todo))
-        window = min(blocks.REPAIRED, lanes)
-        of_window = jnp.any(blocks.padded(todo, window, fill=False).reshape(-1, window), axis=1)
+        window = min(sizes.REPAIRED, lanes)
+        of_window = jnp.any(sizes.padded(todo, window, fill=False).reshape(-1, window), axis=1)
 
         def step(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
             found, left = state
@@ -189,7 +204,7 @@ def folded(x: jax.Array, *axes: int, by: Callable[..., jax.Array] = jnp.add) -> 
         axes: all but the last, ascending.
         by: one of `_WHOLE`.
     """
-    if x.shape[-1] == 1 or not blocks.for_processor():
+    if x.shape[-1] == 1 or not sizes.for_processor():
         return _WHOLE[by](x, axis=axes)
     for axis in reversed(axes):
         rest = []
@@ -213,7 +228,7 @@ def stored(compute: Callable[..., Result], *arguments: PyTree) -> Result:
         compute: to arrays; what does not depend on the arguments is computed in every pass of a loop around it.
         arguments: with a floating point array.
     """
-    if not blocks.for_processor():
+    if not sizes.for_processor():
         return compute(*arguments)
     number = next(x for x in jax.tree.leaves(arguments) if jnp.issubdtype(x.dtype, jnp.floating)).ravel()[0]
     compute = jax.jit(compute)  # traced once
@@ -236,5 +251,68 @@ def in_blocks(function: Callable[..., PyTree], size: int, *arrays: np.ndarray) -
         The pytree of NumPy arrays with all rows.
     """
     rows = len(arrays[0])
-    parts = [jax.device_get(function(*(array[index] for array in arrays))) for index in blocks.calls(rows, size)]
+    parts = [jax.device_get(function(*(array[index] for array in arrays))) for index in sizes.calls(rows, size)]
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:rows], *parts)
+
+
+def unchecked() -> AbstractContextManager[None]:
+    """A context that traces without these types: what one device computes with its own numbers."""
+    return config._check_vma(False)
+
+
+def unvarying(number: Any) -> Any:
+    """Return the type of a number without the axes over which it varies."""
+    return jax.core.ShapedArray(number.shape, number.dtype, number.weak_type) if _axes(number) else number
+
+
+def axes_of(*trees: PyTree) -> Axes:
+    """Mesh axes over which any number of the trees varies."""
+    return Axes().union(*(_axes(jax.typeof(leaf)) for leaf in jax.tree.leaves(trees)))
+
+
+def like(tree: State, *others: PyTree) -> State:
+    """Return a tree whose numbers vary over all axes over which one of them, or of the others, does."""
+    axes = axes_of(tree, others)
+    return jax.tree.map(lambda leaf: _cast(leaf, axes), tree) if axes else tree
+
+
+def while_loop(running: Callable[[State], Any], body: Callable[[State], State], start: State) -> State:
+    """`jax.lax.while_loop`."""
+    return jax.lax.while_loop(running, body, _settled(body, start))
+
+
+def fori_loop(lower: Any, upper: Any, body: Callable[[Any, State], State], start: State) -> State:
+    """`jax.lax.fori_loop`."""
+    return jax.lax.fori_loop(lower, upper, body, _settled(lambda state: body(lower, state), start))
+
+
+def scan(body: Callable[[State, Any], tuple[State, Any]], start: State, rows: PyTree, **options: Any) -> Any:
+    """`jax.lax.scan`."""
+
+    def first(state: State) -> State:
+        return body(state, jax.tree.map(lambda leaf: leaf[0], rows))[0]
+
+    return jax.lax.scan(body, _settled(first, start), rows, **options)
+
+
+def _settled(step: Callable[[State], State], start: State) -> State:
+    """The start of a loop, each number of the type that the loop gives it."""
+    if not jax.sharding.get_abstract_mesh().manual_axes:
+        return start
+    while True:
+        after = jax.eval_shape(step, start)
+        settled = jax.tree.map(lambda leaf, following: _cast(leaf, _axes(following)), start, after)
+        if [*map(axes_of, jax.tree.leaves(settled))] == [*map(axes_of, jax.tree.leaves(start))]:
+            return start
+        start = settled
+
+
+def _cast(leaf: Any, axes: Axes) -> Any:
+    missing = tuple(axes - axes_of(leaf))
+    return jax.lax.pcast(leaf, missing, to="varying") if missing else leaf
+
+
+def _axes(number: Any) -> Axes:
+    """Axes of the type of a number, or of a shape; JAX 0.11 and later keep them with others."""
+    found = number.vma if hasattr(number, "vma") else getattr(number.manual_axis_type, "varying", None)
+    return found or Axes()

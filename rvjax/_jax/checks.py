@@ -11,7 +11,6 @@ import jax
 import numpy as np
 
 from rvjax._ground.choices import unknown
-from rvjax._jax import forked as _forked  # noqa: F401  every public function is checked here
 from rvjax.records import Array, Scalar
 
 P = ParamSpec("P")
