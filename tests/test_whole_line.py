@@ -1,4 +1,4 @@
-"""The measured line on the whole reducer: its interval covers the truth, and it is narrower by a good control."""
+"""Units of a result on the whole reducer: the share within all limits, and what a loaded study does not limit."""
 
 import dataclasses
 from types import SimpleNamespace
@@ -6,15 +6,14 @@ from types import SimpleNamespace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.stats import binom
 
 from rvjax import models
 from rvjax.commands.allocate import full_model_check
 from rvjax.commands.allocate.full_model_check import unlimited_tables, unlimited_texts, whole_text
 from rvjax.population import wilson
 from rvjax.study import load, parse_study
+from rvjax.tolerances import monte_carlo
 
-UNITS, MANY = 256, 1024
 LOADED = """[design]
 base = "rv-320e"
 [design.contact]
@@ -37,69 +36,6 @@ upper = "30 um"
 """
 
 
-def replicates(truth, limit, count, control):
-    """Estimates of the share of units within a limit, from `count` samples of units with 8 errors each."""
-    rng = np.random.default_rng(0)
-    found = []
-    for _ in range(count):
-        errors = rng.standard_normal((8, MANY))
-        values = truth(errors, rng)[:UNITS]
-        given = values if control else rng.standard_normal(UNITS)
-        one = full_model_check.Limited(lambda row: row - limit, given)
-        scores = full_model_check.crossed(errors, [one], np.ones(UNITS, bool))
-        found.append(full_model_check.stratified(values <= limit, *scores, confidence=0.95))
-    return found
-
-
-@pytest.mark.parametrize(("limit", "control"), [(0.5, True), (2.0, True), (3.0, True), (2.0, False)])
-def test_the_interval_covers_the_truth(limit, control):
-    """A nearly linear value, and a control that knows it or is noise; 150 samples of units.
-
-    The number of misses is binomial: a coverage of 94 % or more would give more misses than the bound once in 1000.
-    """
-
-    def truth(errors, rng):
-        return errors[0] + 0.8 * errors[1] + 0.2 * errors[2] ** 2 + 0.2 * rng.standard_normal(errors.shape[1])
-
-    rng = np.random.default_rng(9)
-    share = np.mean(truth(rng.standard_normal((8, 1_000_000)), rng) <= limit)
-    found = replicates(truth, limit, 150, control)
-    misses = sum(not one.lower <= share <= one.upper for one in found)
-    assert misses <= binom.ppf(0.999, 150, 0.06)
-    values = np.array([one.value for one in found])
-    assert abs(values.mean() - share) < 5 * values.std() / np.sqrt(150)  # no bias
-    width = np.mean([one.upper - one.lower for one in found])
-    plain = wilson(round(share * UNITS), UNITS, 0.95)
-    assert width < (0.8 if control and limit < 3 else 1.3) * (plain.upper - plain.lower)
-
-
-def test_failed_units_count_as_rejects_and_strata_without_units_join():
-    good = np.array([True] * 90 + [False] * 10)
-    own = np.where(good, -3.0, 3.0)
-    every = np.concatenate([np.full(60, -3.0), np.full(20, -1.0), np.full(20, 3.0)])[None]
-    found = full_model_check.stratified(good, own, every, confidence=0.95)
-    assert found.value == pytest.approx(0.8)  # -1 joins -3: no unit is solved there
-    assert found.lower < 0.8 < found.upper
-    nothing = full_model_check.stratified(
-        np.zeros(8, bool), np.full(8, -np.inf), np.full((4, 50), -np.inf), confidence=0.95
-    )
-    assert nothing.value == 0 and nothing.upper > 0.2
-
-
-def test_a_curve_predicts_its_peak_to_peak():
-    """A wave whose two amplitudes are linear in the errors: its length is not, its curve is."""
-    rng = np.random.default_rng(1)
-    errors, angle = rng.standard_normal((3, MANY)), np.arange(48) / 48 * 2 * np.pi
-    curves = np.outer(errors[0], np.cos(angle)) + np.outer(errors[1], np.sin(angle))
-    values = np.ptp(curves, axis=1)
-    own = {"values": values[:UNITS], "margin": lambda row: row - 3.0}
-    right = [  # of the units on the side that is predicted
-        np.mean((full_model_check.crossed(errors, [one], np.ones(UNITS, bool))[1][0] > 0) == (values > 3.0))
-        for one in (full_model_check.Limited(**own, curves=curves[:UNITS]), full_model_check.Limited(**own))
-    ]
-    assert right[0] > 0.99 > 0.8 > right[1]
-
-
 @pytest.fixture
 def study():
     return parse_study(LOADED, name="small", solve=False)
@@ -115,14 +51,35 @@ def faked(limit):
 
 
 def test_the_line_names_what_was_measured_and_what_was_not(study, monkeypatch):
-    monkeypatch.setattr(full_model_check, "Response", faked(1.0))
+    """Units are those of a Monte Carlo run with the same seed, the interval of their share is that of Wilson."""
+    made = faked(1.0)
+    monkeypatch.setattr(full_model_check, "Response", made)
     found = full_model_check.whole(study, study.tolerances)
     assert found.output == {"transmission_error": "loaded_transmission_error", "misfit": "misfit"}
     assert found.unread == ("disc_runout",) and found.units == full_model_check.UNITS and found.failed == 0
-    assert found.share.lower <= found.share.value <= found.share.upper
+    seed, units = study.seed + full_model_check.SEED, found.units
+    again = monte_carlo(made.of(None, (), None), study.tolerances, samples=units, seed=seed, keep=True).values
+    good = {name: np.asarray(study.requirements[name].margin(again[found.output[name]])) <= 0 for name in found.output}
+    assert found.within == {name: row.mean() for name, row in good.items()}
+    assert found.share == wilson(int((good["transmission_error"] & good["misfit"]).sum()), units, 0.95)
+    assert 0 < found.share.value < 1
     text = whole_text(found, study)
     assert text.startswith("On the whole reducer ") and "disc_runout (it has no place)" in text
     assert "loaded_transmission_error" in text and "arcmin" in text
+
+
+def test_a_unit_without_a_value_meets_no_limit(study, monkeypatch):
+    """Half of the units have a positive bore, and no misfit."""
+
+    def response(errors):
+        bore = errors.disc_bore[0, 0, 0]
+        return {"loaded_transmission_error": 0.0 * bore, "misfit": jnp.where(bore > 0, jnp.nan, 0.0)}
+
+    response.costly = True
+    monkeypatch.setattr(full_model_check, "Response", SimpleNamespace(of=lambda *_: response))
+    found = full_model_check.whole(study, study.tolerances)
+    assert 200 < found.failed < 312 and found.share.value == 1 - found.failed / found.units
+    assert set(found.within.values()) == {found.share.value} and "failed" in whole_text(found, study)
 
 
 DUTY = '[[duty]]\noutput_torque = "3136 N m"\noutput_speed = "15 rpm"\ntime = "1 h"\n'

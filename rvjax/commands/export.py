@@ -49,8 +49,11 @@ class ExportInputs(Inputs):
 
     source: str = study_argument()
     file: Path = argument("new file", "FILE", type=Path, ends="")
-    form: str | None = option(
-        "format of the file (default: by its ending)", choices=["mjcf", "modelica", "urdf", "json"], flag="--as"
+    form: str = option(
+        "format of the file (default: by its ending)",
+        default="",
+        choices=["mjcf", "modelica", "urdf", "json"],
+        flag="--as",
     )
     unit: str = option(
         "nominal (default), median, p99, or a .toml file with the table [errors]", "UNIT", default="nominal"
@@ -87,8 +90,8 @@ class ExportInputs(Inputs):
         """
         statistic = self.unit in STATISTICS
         endings = {form.ending: name for name, form in FORMATS.items()}
-        self.form = self.form or endings.get(self.file.suffix)
-        if self.form is None:
+        self.form = self.form or endings.get(self.file.suffix, "")
+        if not self.form:
             raise ValueError(f"{self.file}: must end with one of {', '.join(endings)}, or give --as")
         if self.file.exists():
             raise ValueError(f"{self.file}: exists already; name a new file")

@@ -1,41 +1,32 @@
 """Units on the whole reducer: the limits of a four-bar or lost-motion study, and what a loaded study does not limit.
 
 A few hundred units are solved by the loaded model. What a loaded study does not limit is compared with usual limits.
-For another study the share of units that meet its limits there is one line. Control: a linear regression of the loaded
-outputs on the errors, fitted to the other folds of these units, predicts the margin of many units; it sorts them into
-strata. In each stratum the share of good units is that of the solved ones, with the score interval of Wilson; the
-intervals are added in squares (Zou and Donner, Stat. Med. 27, 1693, 2008). A useless control leaves the interval of
-plain sampling.
+For another study the share of units that meet its limits there is one line, with the interval of Wilson.
 """
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from rvjax import models
 from rvjax._jax.sizes import AT_ONCE
 from rvjax.commands.sections.cells import limit_text, share
 from rvjax.errors import described
-from rvjax.population import Estimate, Population, deviate_of, drawn, root_key, score_interval
+from rvjax.population import Estimate, Population, wilson
 from rvjax.render import Cell, Interval, Number, Quantity, Table, Text, Titled
-from rvjax.response import elements, is_costly, parts
-from rvjax.status import succeeded
-from rvjax.study import CURVE, Response, Study
+from rvjax.response import parts
+from rvjax.study import Response, Study
 from rvjax.tolerances import Requirement, monte_carlo
 from rvjax.units import with_unit
 
-UNITS, MANY = 2 * AT_ONCE, 16384
-FOLDS = 4
-EDGES = np.array([-1.5, 0.0, 1.5])
-"""Limits of the strata: predicted margin in standard deviations of its error; above 0 a unit is predicted to fail."""
+UNITS = 2 * AT_ONCE
+CONFIDENCE = 0.95
 ANGLES = {"samples": 24, "probe_angles": 4}
 SEED = 5  # added to that of the study
-_RIDGE = 1e-3  # of the units, in squares of standardised errors
 
 
 SHARE = 0.99
@@ -172,119 +163,19 @@ def whole(study: Study, tolerances: Any) -> Whole | None:
     rated = given.output_torque if given.rated_torque is None else given.rated_torque
     conditions = dataclasses.replace(given, rated_torque=rated, **ANGLES)
     response = Response.of(study.design, tuple(dict.fromkeys(outputs.values())), conditions)
-    population = Population.of(tolerances)
-    z = np.asarray(drawn(population, root_key(study.seed + SEED), jnp.uint32(0), count=MANY))
-    errors = np.asarray(elements(population, jnp.asarray(z)), float)
-    values, known, curves = dict[str, np.ndarray](), dict[str, np.ndarray](), dict[str, np.ndarray]()
-    status = np.zeros(UNITS, np.int32)
-    for part in parts(response, population):
-        costly = is_costly(part.response)
-        rows, own, _ = part.solve(population, z[:, :UNITS] if costly else z)
-        values |= dict(zip(part.names, rows[:, :UNITS]))
-        known |= {} if costly else dict(zip(part.names, rows))
-        status = np.where(succeeded(np.asarray(status)), own[:UNITS], status)
-        if getattr(part.response, "curve", False):
-            curves |= dict.fromkeys(part.names, part.rows(population, z[:, :UNITS], CURVE))
-    solved = succeeded(np.asarray(status)) & np.all([np.isfinite(row) for row in values.values()], axis=0)
-    margins = {n: np.asarray(study.requirements[n].margin(values[outputs[n]])) for n in outputs}
-    good = solved & np.all([row <= 0 for row in margins.values()], axis=0)
-    limited = [
-        Limited(study.requirements[n].margin, values[o], curves.get(o), known.get(o)) for n, o in outputs.items()
-    ]
-    scores = crossed(errors, limited, solved)
+    found = monte_carlo(response, tolerances, samples=UNITS, seed=study.seed + SEED, chunk=UNITS, keep=True)
+    values = {name: np.asarray(found.values[output]) for name, output in outputs.items()}
+    solved = np.all([np.isfinite(row) for row in values.values()], axis=0)
+    within = {name: solved & (np.asarray(study.requirements[name].margin(row)) <= 0) for name, row in values.items()}
     return Whole(
-        share=stratified(good, *scores, confidence=0.95),
+        share=wilson(int(np.all(list(within.values()), axis=0).sum()), UNITS, CONFIDENCE),
         units=UNITS,
-        within={n: float(np.mean(solved & (row <= 0))) for n, row in margins.items()},
-        mean={n: float(values[outputs[n]][solved].mean()) if solved.any() else math.nan for n in outputs},
+        within={name: float(row.mean()) for name, row in within.items()},
+        mean={name: float(row[solved].mean()) if solved.any() else math.nan for name, row in values.items()},
         output=outputs,
         failed=int((~solved).sum()),
-        unread=tuple(name for name in population.active if name in described(tolerances, "bounds")),
+        unread=tuple(name for name in Population.of(tolerances).active if name in described(tolerances, "bounds")),
     )
-
-
-@dataclass(frozen=True, eq=False)
-class Limited:
-    """One output with limits, of the solved units.
-
-    Attributes:
-        margin: value -> distance beyond the limits.
-        values: of the solved units (n,).
-        curves: whose peak to peak is the value (n, angles), or None.
-        known: values of all units (many,) where they cost nothing, or None.
-    """
-
-    margin: Callable[[np.ndarray], Any]
-    values: np.ndarray
-    curves: np.ndarray | None = None
-    known: np.ndarray | None = None
-
-
-def crossed(errors: np.ndarray, limited: Sequence[Limited], solved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Predicted margins of solved units (n,), each by the other folds, and of all units by each fold (folds, many).
-
-    Args:
-        errors: of all units, the solved ones first (elements, many).
-        limited: outputs.
-        solved: which of the n units have values.
-    """
-    n = len(solved)
-    scale = errors.std(axis=1, keepdims=True)
-    x = ((errors - errors.mean(axis=1, keepdims=True)) / np.where(scale > 0, scale, 1.0)).T
-    fold = np.arange(n) % FOLDS
-    own, every = np.full(n, -math.inf), np.full((FOLDS, len(x)), -math.inf)
-    for k in range(FOLDS):
-        fit = np.flatnonzero((fold != k) & solved)
-        for one in limited if len(fit) > 2 else ():
-            predicted, sd = _predicted(x, fit, one)
-            every[k] = np.fmax(every[k], np.asarray(one.margin(predicted)) / (sd or 1e-300))
-        own[fold == k] = every[k][:n][fold == k]
-    return own, every
-
-
-def _predicted(x: np.ndarray, fit: np.ndarray, one: Limited) -> tuple[np.ndarray, float]:
-    """Values of all units by a regression on some, and the standard deviation of their error."""
-    values = one.values[fit]
-    if one.known is not None:
-        return one.known, 1e-3 * float(np.std(values))
-    target = (one.values[:, None] if one.curves is None else one.curves)[fit]
-    mean, middle = target.mean(axis=0), x[fit].mean(axis=0)
-    own = x[fit] - middle
-    slopes = np.linalg.solve(own.T @ own + _RIDGE * len(fit) * np.eye(x.shape[1]), own.T @ (target - mean))
-    rows = mean + (x - middle) @ slopes
-    found = rows[:, 0] if one.curves is None else np.ptp(rows, axis=1)
-    found = found + np.mean(values - found[fit])
-    return found, float(np.std(values - found[fit]))
-
-
-def stratified(good: np.ndarray, own: np.ndarray, every: np.ndarray, *, confidence: float) -> Estimate:
-    """Share of good units, from strata of their predicted margin whose sizes are known from many units.
-
-    Args:
-        good: of the solved units (n,).
-        own: their predicted margins (n,).
-        every: predicted margins of many units, by each fold (folds, many).
-        confidence: of the interval.
-    """
-    z, strata = deviate_of(confidence), np.searchsorted(EDGES, own)
-    sizes = np.bincount(np.searchsorted(EDGES, every.ravel()), minlength=len(EDGES) + 1) / every.size
-    groups: list[tuple[float, np.ndarray]] = []
-    for k, size in enumerate(sizes):
-        inside = good[strata == k]
-        if groups and (not len(inside) or not len(groups[-1][1])):  # joins its neighbour
-            groups[-1] = (groups[-1][0] + size, np.concatenate([groups[-1][1], inside]))
-        else:
-            groups.append((size, inside))
-    value = spread = below = above = 0.0
-    for size, inside in groups:
-        share = float(inside.mean())
-        lower, upper = score_interval(share, len(inside), z)
-        value, spread = value + size * share, spread + size * share**2
-        below, above = below + (size * (share - lower)) ** 2, above + (size * (upper - share)) ** 2
-    sizes_unknown = z**2 * max(spread - value**2, 0.0) / every.shape[1]
-    below, above = math.sqrt(below + sizes_unknown), math.sqrt(above + sizes_unknown)
-    value = min(1.0, value)  # the sizes may add up to more by rounding
-    return Estimate(value, (below + above) / (2 * z), max(0.0, value - below), min(1.0, value + above))
 
 
 def whole_text(found: Whole, study: Study) -> str:

@@ -145,7 +145,7 @@ def compute(inputs: MontecarloInputs) -> Sampled | None:
     about = found.study | {"name": inputs.source, "toml": wanted.study.text}
     if inputs.json is not None:
         tolerances.save(dataclasses.replace(found, values=None), inputs.json, study=about)
-    if wanted.keep:
+    if inputs.save is not None and wanted.keep:
         tolerances.save(found, inputs.save, study=about)
     return Sampled(wanted.study, found, device)
 

@@ -10,7 +10,7 @@ import rvjax
 from rvjax import study
 from rvjax._ground import progress
 from rvjax._ground.files import check_writable
-from rvjax.commands.allocate import FILE, answer, headline, report_on, restored_from
+from rvjax.commands.allocate import FILE, Answer, answer, headline, report_on, restored_from
 from rvjax.commands.budget import budget_if_any, section_on
 from rvjax.commands.console import READING, share_cores, tell, units_placed
 from rvjax.commands.forecast import expected, forewarn, phases_of, seconds_of_units
@@ -61,6 +61,8 @@ class ReportInputs(Inputs):
         self.study = study.load(self.source, solve=False)
         if self.study.costly:
             share_cores(1)
+        self.stored: Path | None
+        self.answer: Answer | None
         self.stored, self.answer = restored_from(self.study)
         if self.output is None and self.stored is not None:
             self.output = self.stored / "report.html"
@@ -69,8 +71,9 @@ class ReportInputs(Inputs):
             check_writable(self.output)
         forewarn(self.study, expected(self.study))
         self.sliders = self.sliders or not self.study.costly
-        old = self.stored is not None and self.output is not None and not self.fresh
-        self.shown = old and shows(self.output, self.stored, self.source, self.sliders)
+        self.shown = False
+        if self.stored is not None and self.output is not None and not self.fresh:
+            self.shown = shows(self.output, self.stored, self.source, self.sliders)
 
 
 def mark(result: bytes, source: str, sliders: bool) -> bytes:
