@@ -1,8 +1,10 @@
 """Report of `rvjax allocate`: verdict, cost, tolerances, influence of each error, requirements, certificate."""
 
 import dataclasses
+import functools
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -27,10 +29,29 @@ from rvjax.commands.sections.cells import (
 )
 from rvjax.commands.sections.influence import IN_FILE, NOT_IN_FILE, influence_tables
 from rvjax.population import Estimate
-from rvjax.render import PAGE, Cell, Column, Interval, Limits, Note, Number, Report, Table, Text, Titled, Value, number
+from rvjax.render import (
+    PAGE,
+    Cell,
+    Column,
+    Interval,
+    Limits,
+    Note,
+    Number,
+    Quantity,
+    Report,
+    Table,
+    Text,
+    Titled,
+    Value,
+    Zone,
+    column,
+    number,
+)
 from rvjax.tolerances import Allocation, expected_losses
 from rvjax.units import readable, with_unit
 
+GRADED = ("graded", "grade", "cost_graded")
+"""Fields of a row that only a result in grades has."""
 MOVED = "middles moved"
 """Row with the cost of moved mid-points: with it, the column of costs adds up to the total."""
 
@@ -125,6 +146,22 @@ def moved(allocation: Allocation) -> float:
     return found if found > 1e-9 * allocation.cost else 0.0
 
 
+@dataclass(frozen=True)
+class ToleranceRow:
+    """Limits and cost of an error: before, after, and in grades."""
+
+    error: str = column(Text("error"))
+    unit: str = column(Text("unit", on=IN_FILE))
+    stated: str = column(Text("stated as", on=IN_FILE))
+    before: Zone | str = column(Limits("before"))
+    after: Zone | str = column(Limits("after"))
+    cost_before: float | str | None = column(Number("cost before", form=".3f"))
+    cost_after: float | None = column(Number("cost after", form=".3f"))
+    graded: Zone | str = column(Limits("graded"))
+    grade: str | None = column(Text("grade"))
+    cost_graded: float | None = column(Number("cost graded", form=".3f"))
+
+
 def tolerance_tables(answer: Answer) -> list[Table]:
     """Limits and cost of each error, and of moved mid-points: before, after, and in grades if required.
 
@@ -132,34 +169,24 @@ def tolerance_tables(answer: Answer) -> list[Table]:
     """
     study, allocation = answer.study, answer.allocation
     graded = allocation.graded
-    columns: list[Column] = [
-        Text("error"),
-        Text("unit", on=IN_FILE),
-        Text("stated as", on=IN_FILE),
-        Limits("before"),
-        Limits("after"),
-        Number("cost before", form=".3f"),
-        Number("cost after", form=".3f"),
-    ]
-    columns += [Limits("graded"), Text("grade"), Number("cost graded", form=".3f")] if graded else []
-    rows: list[list[Cell]] = []
+    rows = []
     for field in study.fields:
-        unit, elements = study.unit(field), math.prod(getattr(study.tolerances, field).shape)
+        elements = math.prod(getattr(study.tolerances, field).shape)
         name = Titled(field, f"{elements} elements, each with a separate value" if elements > 1 else "")
-        zones = [limits_of(study, field, getattr(side, field)) for side in (study.tolerances, allocation.tolerances)]
-        row: list[Cell] = [name, readable(unit)[0], zones[0].stated or "limits", *zones]
-        row += [side.cost.get(field) for side in (answer.before, answer.after)]
+        before, after = (limits_of(study, field, getattr(x, field)) for x in (study.tolerances, allocation.tolerances))
+        costs = answer.before.cost.get(field), answer.after.cost.get(field)
+        grades: tuple[Any, ...] = ()
         if graded:
-            row += [limits_of(study, field, getattr(graded.tolerances, field)), (graded.grades or {}).get(field)]
-            row.append(graded.costs.get(field))
-        rows.append(row)
+            limits = limits_of(study, field, getattr(graded.tolerances, field))
+            grades = limits, (graded.grades or {}).get(field), graded.costs.get(field)
+        unit = readable(study.unit(field))[0]
+        rows.append(ToleranceRow(name, unit, before.stated or "limits", before, after, *costs, *grades))
     if price := moved(allocation):
-        rows.append([MOVED, "", "", "", "", "", price, *(["", "", price] if graded else [])])
-    total = ["sum", "", "", "", "", allocation.start_cost, allocation.cost, *(["", "", graded.cost] if graded else [])]
-    return [
-        Table("tolerances", columns, rows, on=IN_FILE),
-        Table("tolerances", columns, [*rows, total], on=NOT_IN_FILE, total=True),
-    ]
+        rows.append(ToleranceRow(MOVED, cost_after=price, cost_graded=price))
+    sums = allocation.start_cost, allocation.cost
+    total = ToleranceRow("sum", cost_before=sums[0], cost_after=sums[1], cost_graded=graded.cost if graded else None)
+    table = functools.partial(Table.of, ToleranceRow, "tolerances", without=() if graded else GRADED)
+    return [table(rows, on=IN_FILE), table([*rows, total], on=NOT_IN_FILE, total=True)]
 
 
 @dataclass(frozen=True)
@@ -207,46 +234,55 @@ class _Met(Text):
         return [int(cell == "met")]
 
 
+ON_PAGE = frozenset({PAGE})
+
+
+@dataclass(frozen=True)
+class RequirementRow:
+    """A requirement with the values that are evaluated, shadow price and verdict."""
+
+    requirement: str = column(Text("requirement"))
+    unit: str = column(Text("unit", on=IN_FILE))
+    limit: tuple[Any, Any] = column(_Limit("limit"))
+    target: str = column(Text("target", on=NOT_IN_FILE))
+    goal: float | None = column(Number("target", on=IN_FILE))
+    requires: str = column(Text("requires", on=IN_FILE))
+    unit_of_value: str = column(Text("unit of the figure", on=IN_FILE))
+    before: Quantity = column(Interval("yield before [interval]", file_title="before"))
+    after: Quantity = column(Interval("yield after [interval]", file_title="after"))
+    met: str = column(_Met("met after", on=IN_FILE))
+    price: tuple[Any, ...] = column(_Price("shadow price", file_title="shadow price per unit"))
+    graded: Quantity | str = column(Interval("yield graded [interval]", on=ON_PAGE))
+    verdict: str = column(_Met("verdict", on=ON_PAGE))
+
+
 def requirement_table(answer: Answer) -> Table:
     """Limits, the values that are evaluated with their intervals, shadow prices, verdicts."""
     study, allocation = answer.study, answer.allocation
-    graded, on_page = allocation.graded, frozenset({PAGE})
-    columns = [
-        Text("requirement"),
-        Text("unit", on=IN_FILE),
-        _Limit("limit"),
-        Text("target", on=NOT_IN_FILE),
-        Number("target", on=IN_FILE),
-        Text("requires", on=IN_FILE),
-        Text("unit of the figure", on=IN_FILE),
-        Interval("yield before [interval]", file_title="before"),
-        Interval("yield after [interval]", file_title="after"),
-        _Met("met after", on=IN_FILE),
-        _Price("shadow price", file_title="shadow price per unit"),
-        *([Interval("yield graded [interval]", on=on_page)] if graded else []),
-        _Met("verdict", on=on_page),
-    ]
-    rows = []
+    graded, rows = allocation.graded, []
     for name, requirement in study.requirements.items():
         output = study.output(name)
-        verdicts = [side.verdicts[name] for side in (answer.certificate_before, allocation.certificate)]
-        cells = [evaluated(verdict, output) for verdict in verdicts]
-        figure_unit = output.shown[0] if verdicts[0].kind == "response" else "-"
-        goal = getattr(requirement, requirement.goal) if requirement.goal else None
-        ends = allocation.multiplier_intervals.get(name)
-        met = met_text(requirement, verdicts[1], allocation.certificate.samples)
-        row: list[Cell] = [
-            Titled(name, output.meaning),
-            output.shown[0],
-            (requirement, output),
-            requirement.text(),
-            goal,
-        ]
-        row += [requirement.text(), figure_unit, *cells, met, (binding(allocation, name), output, ends)]
-        row += [evaluated(graded.certificate.verdicts[name], output)] if graded else []
-        rows.append([*row, met])
+        before, after = (side.verdicts[name] for side in (answer.certificate_before, allocation.certificate))
+        met = met_text(requirement, after, allocation.certificate.samples)
+        row = RequirementRow(
+            requirement=Titled(name, output.meaning),
+            unit=output.shown[0],
+            limit=(requirement, output),
+            target=requirement.text(),
+            goal=getattr(requirement, requirement.goal) if requirement.goal else None,
+            requires=requirement.text(),
+            unit_of_value=output.shown[0] if before.kind == "response" else "-",
+            before=evaluated(before, output),
+            after=evaluated(after, output),
+            met=met,
+            price=(binding(allocation, name), output, allocation.multiplier_intervals.get(name)),
+            graded=evaluated(graded.certificate.verdicts[name], output) if graded else "",
+            verdict=met,
+        )
+        rows.append(row)
     prices = {name: binding(allocation, name) for name in study.requirements}
-    return Table("requirements", columns, rows, note=price_text(study, prices))
+    without = () if graded else ("graded",)
+    return Table.of(RequirementRow, "requirements", rows, without=without, note=price_text(study, prices))
 
 
 def _data(answer: Answer) -> dict[str, object]:
