@@ -33,8 +33,6 @@ from rvjax.render import (
     CSV,
     PAGE,
     TEXT,
-    Cell,
-    Column,
     Figure,
     Interval,
     Note,
@@ -43,6 +41,7 @@ from rvjax.render import (
     Report,
     Table,
     Text,
+    column,
     results_folder,
 )
 from rvjax.study import kind_of
@@ -201,30 +200,29 @@ def _paths(export: Path, curves: Sequence[Curve]) -> list[Path]:
     return [export.with_name(f"{export.stem}-{label}{export.suffix}") for label in labels] if labels[1:] else [export]
 
 
+@dataclass(frozen=True)
+class CurveRow:
+    """A curve: stored orders, before and after, and what is expected of another measurement."""
+
+    curve: str = column(Text("curve"))
+    stored: str = column(Text("orders stored"))
+    before: float = column(Number("rms before", **BRIEF))
+    after: float = column(Number("rms after", **BRIEF))
+    held_out: float | None = column(Number("held-out turn", **BRIEF))
+    rms: Quantity = column(Interval("stored orders leave [interval]", named=False, **BRIEF))
+    peak_to_peak: Quantity = column(Interval("p-p [interval]", named=False, **BRIEF))
+
+
 def _curves(curves: Sequence[Curve], left: Sequence[Left]) -> Table:
-    """Notes on each curve: stored orders, the curve before and after, and what is expected of another measurement."""
-    rows: list[list[Cell]] = []
+    rows = []
     for curve, stays in zip(curves, left):
-        made = curve.correction
-        stored = " ".join(map(str, made.order.tolist())) or "none"
+        stored = " ".join(map(str, curve.correction.order.tolist())) or "none"
         later = curve.held_out and curve.held_out[1]
-        swing = Quantity.of(stays.peak_to_peak, **ARCSEC)
-        rows.append(
-            [curve.label or "all", stored, curve.before, curve.after, later, Quantity.of(stays.rms, **ARCSEC), swing]
-        )
-    columns: list[Column] = [
-        Text("curve"),
-        Text("orders stored"),
-        Number("rms before", **BRIEF),
-        Number("rms after", **BRIEF),
-        Number("held-out turn", **BRIEF),
-        Interval("stored orders leave [interval]", named=False, **BRIEF),
-        Interval("p-p [interval]", named=False, **BRIEF),
-    ]
-    if not any(curve.held_out for curve in curves):
-        columns, rows = [*columns[:4], *columns[5:]], [[*row[:4], *row[5:]] for row in rows]
+        expected = Quantity.of(stays.rms, **ARCSEC), Quantity.of(stays.peak_to_peak, **ARCSEC)
+        rows.append(CurveRow(curve.label or "all", stored, curve.before, curve.after, later, *expected))
+    without = () if any(curve.held_out for curve in curves) else ("held_out",)
     note = "rms of the measured curve without its mean, a drift, and an order 1 that is not stored"
-    return Table("curves", columns, rows, note=note, on=frozenset({TEXT, PAGE}))
+    return Table.of(CurveRow, "curves", rows, without=without, note=note, on=frozenset({TEXT, PAGE}))
 
 
 def _crossed(curves: Sequence[Curve]) -> list[Table]:
@@ -245,23 +243,26 @@ def _crossed(curves: Sequence[Curve]) -> list[Table]:
     return tables
 
 
+@dataclass(frozen=True)
+class OrderRow:
+    """An order of a curve, and its stored part."""
+
+    curve: str = column(Text("curve"))
+    order: int = column(Text("order"))
+    amplitude: float = column(Number("amplitude [arcsec]", **ARCSEC))
+    phase: float = column(Number("phase [deg]", unit="rad", read_in="deg"))
+    sd: float = column(Number("sd [arcsec]", **ARCSEC))
+    gain: float = column(Number("gain stored"))
+
+
 def _orders(curves: Sequence[Curve]) -> Table:
-    """Orders of all curves, and the stored part of each."""
     rows = []
     for curve in curves:
         made = curve.correction
         gains = dict(zip(made.order.tolist(), made.gain))
         for order, value, sd in zip(made.given_order.tolist(), made.given_value, made.sd):
-            rows.append([curve.label, order, abs(value), np.angle(value), sd, gains.get(order, 0.0)])
-    columns = [
-        Text("curve"),
-        Text("order"),
-        Number("amplitude [arcsec]", **ARCSEC),
-        Number("phase [deg]", unit="rad", read_in="deg"),
-        Number("sd [arcsec]", **ARCSEC),
-        Number("gain stored"),
-    ]
-    return Table("orders", columns, rows, on=frozenset({CSV}))
+            rows.append(OrderRow(curve.label, order, abs(value), np.angle(value), sd, gains.get(order, 0.0)))
+    return Table.of(OrderRow, "orders", rows, on=frozenset({CSV}))
 
 
 def _data(

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import jax.numpy as jnp
@@ -10,7 +11,7 @@ from rvjax.commands.allocate import shortfall_text
 from rvjax.commands.design.optimum import Designed
 from rvjax.commands.design.prices import limit_price, nominal_limit, per, per_number, per_output, slope, unit_of_number
 from rvjax.commands.sections.cells import evaluated, limit_text, limits_of, share
-from rvjax.render import Column, Interval, Limits, Note, Number, Table, Text, Titled
+from rvjax.render import Column, Interval, Limits, Note, Number, Quantity, Table, Text, Titled, Zone, column
 from rvjax.study import Study, fields_of, number_at, shown, stated_by
 from rvjax.units import readable, with_unit
 
@@ -63,6 +64,19 @@ def saved_part(together: float, in_steps: float) -> str:
     return f"{100 * (1 - together / in_steps):.1f} %" if in_steps else "-"
 
 
+@dataclass(frozen=True)
+class VariableRow:
+    """A variable before and after, with range, active bound and price."""
+
+    variable: str = column(Text("variable"))
+    before: str = column(Text("before"))
+    after: str = column(Text("after"))
+    bounds: str = column(Text("bounds"))
+    kept: str = column(Text("cost within 0.5 %"))
+    bound: str = column(Text("active bound"))
+    price: str = column(Text("price of the bound"))
+
+
 def numbers(study: Study, found: Designed) -> Table:
     """Variables before and after, with range, active bound and price.
 
@@ -70,38 +84,38 @@ def numbers(study: Study, found: Designed) -> Table:
         study: with variables.
         found: result of the command.
     """
-    joint = found.joint.found
-    ranges = [Text("cost within 0.5 %")] if joint.ranges else []
-    columns: list[Column] = [
-        Text("variable"),
-        Text("before"),
-        Text("after"),
-        Text("bounds"),
-        *ranges,
-        Text("active bound"),
-        Text("price of the bound"),
-    ]
-    rows = []
+    joint, rows = found.joint.found, []
     meanings = dict(fields_of(study.design))
     for path, item in study.variables.items():
         unit, value = unit_of_number(study, path), joint.values.get(path, math.nan)
         name, size = per_number(study, path)
         price, bound = joint.value_prices.get(path, 0.0), joint.bounds_active.get(path)
         kept = joint.ranges.get(path)
-        rows.append(
-            [
-                Titled(path, str(meanings[path.partition("[")[0]]["meaning"])),
-                shown(number_at(study.design, path), unit),
-                shown(value, unit) if math.isfinite(value) else "-",
-                f"{shown(item.lower, unit)} to {shown(item.upper, unit)}",
-                *(["-" if kept is None else f"{shown(kept[0], unit)} to {shown(kept[1], unit)}"] if ranges else []),
-                bound or "-",
-                f"{abs(price) * size:.3g}{per(name)}" if bound and price and math.isfinite(price) else "-",
-            ]
+        row = VariableRow(
+            variable=Titled(path, str(meanings[path.partition("[")[0]]["meaning"])),
+            before=shown(number_at(study.design, path), unit),
+            after=shown(value, unit) if math.isfinite(value) else "-",
+            bounds=f"{shown(item.lower, unit)} to {shown(item.upper, unit)}",
+            kept="-" if kept is None else f"{shown(kept[0], unit)} to {shown(kept[1], unit)}",
+            bound=bound or "-",
+            price=f"{abs(price) * size:.3g}{per(name)}" if bound and price and math.isfinite(price) else "-",
         )
+        rows.append(row)
+    ranges = bool(joint.ranges)
     missing = [path for path, item in study.variables.items() if ranges and item.free and path not in joint.ranges]
     note = f"cost within 0.5 %: no units were left for {', '.join(missing)}." if missing else ""
-    return Table("variables", columns, rows, note=note)
+    return Table.of(VariableRow, "variables", rows, without=() if ranges else ("kept",), note=note)
+
+
+@dataclass(frozen=True)
+class ToleranceRow:
+    """Limits and cost of an error, before and after, and the price of a unit of what states it."""
+
+    error: str = column(Text("error"))
+    before: Zone = column(Limits("before"))
+    after: Zone = column(Limits("after"))
+    cost: float | None = column(Number("cost after", form=".3f"))
+    price: str = column(Text("price"))
 
 
 def tolerances_of(study: Study, found: Designed) -> Table:
@@ -111,21 +125,36 @@ def tolerances_of(study: Study, found: Designed) -> Table:
         study: with variables.
         found: result of the command.
     """
-    joint = found.joint.found
-    columns: list[Column] = [
-        Text("error"),
-        Limits("before"),
-        Limits("after"),
-        Number("cost after", form=".3f"),
-        Text("price"),
-    ]
-    rows: list[list[Any]] = []
+    joint, rows = found.joint.found, []
     for field in study.fields:
         (name, size), (_, half_widths) = readable(study.unit(field)), stated_by(study.forms, field)
-        limits = [limits_of(study, field, getattr(side, field)) for side in (study.tolerances, joint.tolerances)]
+        before, after = (limits_of(study, field, getattr(side, field)) for side in (study.tolerances, joint.tolerances))
         price = f"{-slope(study, found.joint, field) * size / half_widths:.3g} /{name}" if field in joint.costs else "-"
-        rows.append([field, *limits, joint.costs.get(field), price])
-    return Table("tolerances", columns, rows)
+        rows.append(ToleranceRow(field, before, after, joint.costs.get(field), price))
+    return Table.of(ToleranceRow, "tolerances", rows)
+
+
+@dataclass(frozen=True)
+class RequirementRow:
+    """A requirement on units, with its certified value."""
+
+    name: str = column(Text("requirement"))
+    limit: str = column(Text("limit"))
+    requires: str = column(Text("requires"))
+    value: Quantity = column(Interval("independent units"))
+    met: str = column(Text("met"))
+    price: str = column(Text("price"))
+
+
+@dataclass(frozen=True)
+class NominalRow:
+    """A limit or a price of an output without errors."""
+
+    name: str = column(Text("without errors"))
+    limit: str = column(Text("limit"))
+    before: str = column(Text("before"))
+    after: str = column(Text("after"))
+    price: str = column(Text("price"))
 
 
 def requirements_of(study: Study, found: Designed) -> Iterator[Table]:
@@ -135,33 +164,25 @@ def requirements_of(study: Study, found: Designed) -> Iterator[Table]:
         study: with variables.
         found: result of the command.
     """
-    joint = found.joint.found
-    columns: list[Column] = [
-        Text("requirement"), Text("limit"), Text("requires"), Interval("independent units"), Text("met"), Text("price"),
-    ]  # fmt: skip
-    rows: list[list[Any]] = []
+    rows = []
     for name, requirement in study.requirements.items():
+        output, verdict = study.output(name), found.joint.found.certificate.verdicts[name]
+        said = limit_text(requirement, output), requirement.text(), evaluated(verdict, output)
+        met, price = "yes" if verdict.met else "no", limit_price(study, found.joint, name)
+        rows.append(RequirementRow(Titled(name, output.meaning), *said, met, price))
+    yield Table.of(RequirementRow, "requirements", rows)
+    nominal = []
+    for name in study.without_errors:
         output = study.output(name)
-        verdict = joint.certificate.verdicts[name]
-        met = "yes" if verdict.met else "no"
+        unit, size = output.shown
         price = limit_price(study, found.joint, name)
-        said = [limit_text(requirement, output), requirement.text(), evaluated(verdict, output)]
-        rows.append([Titled(name, output.meaning), *said, met, price])
-    yield Table("requirements", columns, rows)
-    if names := study.without_errors:
-        columns = [Text("without errors"), Text("limit"), Text("before"), Text("after"), Text("price")]
-        rows = []
-        for name in names:
-            output = study.output(name)
-            unit, size = output.shown
-            limit = nominal_limit(study, name)
-            price = limit_price(study, found.joint, name)
-            values = [with_unit(side[name] / size, unit, ".5g") for side in (found.start, found.joint.outputs)]
-            if name in study.objective:
-                named, size = per_output(output)
-                price = f"{study.objective[name](size):.3g}{per(named)}"
-            rows.append([Titled(name, output.meaning), limit, *values, price])
-        yield Table("nominal", columns, rows)
+        values = [with_unit(side[name] / size, unit, ".5g") for side in (found.start, found.joint.outputs)]
+        if name in study.objective:
+            named, size = per_output(output)
+            price = f"{study.objective[name](size):.3g}{per(named)}"
+        nominal.append(NominalRow(Titled(name, output.meaning), nominal_limit(study, name), *values, price))
+    if nominal:
+        yield Table.of(NominalRow, "nominal", nominal)
 
 
 def _helping(study: Study, path: str, side: str) -> str:

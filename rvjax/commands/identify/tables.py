@@ -1,5 +1,6 @@
 """Report of `rvjax identify`: verdict, combinations, elements with intervals, shares, next measurement; one page."""
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,6 +40,7 @@ from rvjax.render import (
     Table,
     Text,
     Value,
+    column,
 )
 from rvjax.study import part_orders
 
@@ -163,35 +165,41 @@ class _Chance(Share):
         return super()._said(cell) if cell >= NIL else self.missing
 
 
+@dataclass(frozen=True)
+class ElementRow:
+    """An element of an error: what the data say of it."""
+
+    element: str = column(Text("element"))
+    unit: str = column(Text("unit", on=frozenset({CSV})))
+    verdict: str = column(Text("verdict"))
+    resolution: float = column(Share("known better by"))
+    value: Quantity | None = column(_Value("value"), None)
+    span: Quantity | None = column(_Span("95 % interval"), None)
+    broken: float | None = column(_Chance("beyond limit", file_title="chance beyond limit", form=".3g"), None)
+
+
 def _elements(found: Identified) -> list[Table | Note]:
     """Every element, those that the data move most first: all in the file, those that matter in text and page."""
     check, posterior = found.check, found.posterior
-    valued = EVERYWHERE if posterior is not None else frozenset({CSV})
-    columns = [
-        Text("element"),
-        Text("unit", on=frozenset({CSV})),
-        Text("verdict"),
-        Share("known better by"),
-        _Value("value", on=valued),
-        _Span("95 % interval", on=valued),
-        _Chance("beyond limit", on=valued, file_title="chance beyond limit", form=".3g"),
-    ]
     fields = posterior and [elements(x) for x in (posterior.value, posterior.lower, posterior.upper)]
     rows = []
     for name in sorted(check.names, key=lambda name: -check.resolution[name]):
-        row: list[Cell] = [name, unit_of(found, name)[1], str(check.verdict[name]), max(check.resolution[name], 0.0)]
+        about = name, unit_of(found, name)[1], str(check.verdict[name]), max(check.resolution[name], 0.0)
         if posterior is not None and fields:
             value = _quantity(found, name, *(values[name] for values in fields))
-            row += [value, value, posterior.broken.get(name, 0.0)]
-        rows.append(row if posterior is not None else [*row, None, None, None])
-    seen = [row for row in rows if check.resolution[row[0]] >= SEEN][:MOST_ROWS]
+            rows.append(ElementRow(*about, value, value, posterior.broken.get(name, 0.0)))
+        else:
+            rows.append(ElementRow(*about))
+    seen = [row for row in rows if check.resolution[row.element] >= SEEN][:MOST_ROWS]
     left = len(rows) - len(seen)
     rest = f"{left} more elements: limits of the drawing" if left else ""
     more = f"{len(rows) - MOST_ON_PAGE} elements that the data determine less are in elements.csv."
+    table = functools.partial(Table.of, ElementRow, "elements")
+    without = ("value", "span", "broken") if posterior is None else ()
     return [
-        Table("elements", columns, rows, on=frozenset({CSV})),
-        Table("elements", columns, seen, note=rest, on=frozenset({TEXT})),
-        Table("elements", columns, rows[:MOST_ON_PAGE], on=frozenset({PAGE})),
+        table(rows, on=frozenset({CSV})),
+        table(seen, without=without, note=rest, on=frozenset({TEXT})),
+        table(rows[:MOST_ON_PAGE], without=without, on=frozenset({PAGE})),
         *([Note(more, frozenset({PAGE}))] if len(rows) > MOST_ON_PAGE else []),
     ]
 

@@ -1,14 +1,26 @@
 """Section on a measurement, for every kind of bench file: its properties, and what limits the result."""
 
-import itertools
+import functools
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from rvjax.measured import Finding
-from rvjax.render import CSV, PAGE, TEXT, Column, Content, Figure, Quantity, Section, Table, Text
+from rvjax.render import CSV, PAGE, TEXT, Column, Content, Figure, Quantity, Section, Table, Text, column
 
 MOST = 4  # items whose findings the text and the page show; the file has all
 LARGE = 0.02  # rad: angles above are read in deg, others in arcsec
 MOST_WARNINGS = 12
+
+
+@dataclass(frozen=True)
+class FindingRow:
+    """A property of a measurement."""
+
+    measured: str = column(Text("measured"))
+    name: str = column(Text("property"))
+    value: Quantity | str = column(Column("value"))
+    unit: str = column(Text("unit", on=frozenset({CSV})))
+    remark: str = column(Text("remark", wraps=True))
 
 
 def section(found: Mapping[str, Sequence[Finding]], figures: Sequence[Figure] = ()) -> list[Content]:
@@ -20,18 +32,14 @@ def section(found: Mapping[str, Sequence[Finding]], figures: Sequence[Figure] = 
     """
     if not any(found.values()):
         return []
-    rows = [[name, f.name, _quantity(f), f.text] for name, several in found.items() for f in several]
-    shown = rows if len(found) <= MOST else []
-    columns: list[Column] = [Text("measured"), Text("property"), Column("value"), Text("remark", wraps=True)]
-    columns = columns if len(found) > 1 else columns[1:]
-    short = [row if len(found) > 1 else row[1:] for row in shown]
-    plain = [row for row, f in zip(short, itertools.chain(*found.values())) if not f.warning]
-    every = [Text("measured"), Text("property"), Column("value"), Text("unit"), Text("remark")]
-    units = [[*row[:3], row[2].shown[0] if isinstance(row[2], Quantity) else "", row[3]] for row in rows]
-    content: list[Content] = [Table("measurement", every, units, on=frozenset({CSV}))]
-    if shown:
-        content.append(Table("measurement", columns, plain, "The measurement:", on=frozenset({TEXT})))
-        content.append(Table("measurement", columns, short, on=frozenset({PAGE})))
+    findings = [(name, f, _quantity(f)) for name, several in found.items() for f in several]
+    rows = [FindingRow(name, f.name, size, size.shown[0], f.text) for name, f, size in findings]
+    content: list[Content] = [Table.of(FindingRow, "measurement", rows, on=frozenset({CSV}))]
+    if len(found) <= MOST:
+        table = functools.partial(Table.of, FindingRow, "measurement", without=() if len(found) > 1 else ("measured",))
+        plain = [row for row, (_, f, _) in zip(rows, findings) if not f.warning]
+        content.append(table(plain, caption="The measurement:", on=frozenset({TEXT})))
+        content.append(table(rows, on=frozenset({PAGE})))
     return [Section("The measurement", (*content, *figures))]
 
 
