@@ -3,7 +3,7 @@
 A kept program is found by what it computes, by the versions of JAX and XLA and by their flags; the folder is that of
 one version of rvjax on one kind of processor. One that another run is just writing is compiled again. Gain, with the
 traced programs of `exported`: `rvjax allocate rv-40e` takes 16.4 instead of 30.3 s in a second run. `quick` gives a
-program of one case the options of the compiler that suit it, for which `jax.jit` raises an error in another program.
+program of one case the options of the compiler that suit it; within another program these would be an error.
 """
 
 import ctypes

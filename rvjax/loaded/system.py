@@ -32,7 +32,7 @@ class Layout(NamedTuple):
     common: tuple[int, ...]  # unknowns of each common body
     joints: tuple[Group, ...]  # one or more
     bearings: tuple[Group, ...]  # one or more
-    interior: bool = True  # cases that Newton leaves go to the interior point method
+    interior: bool = True  # cases that Newton leaves go to the interior point method; not in tests that need none
 
     @property
     def inner(self) -> int:

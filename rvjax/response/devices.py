@@ -13,7 +13,7 @@ from rvjax._jax.sizes import default_platform
 from rvjax.population import TURN, Population, SobolPoints, drawn, key_of, root_key
 from rvjax.response.response import EVERYWHERE, NUMBERS, Response, Values, respond
 
-_chosen: list[jax.Device] = []  # by `units_on`, for all threads
+_chosen: list[jax.Device] = []  # by `units_on`
 
 
 @contextlib.contextmanager

@@ -21,7 +21,9 @@ from rvjax.commands.report.friction import friction_section, losses_if_any
 from rvjax.commands.report.lives import lives_if_any
 from rvjax.commands.report.page import Shown as Shown, page_of as page_of
 from rvjax.commands.report.sliders import cost_data as cost_data, script_of as script_of
-from rvjax.render import Report, results_folder
+from rvjax.records import PyTree
+from rvjax.render import Report, Section, results_folder
+from rvjax.study import Study
 
 
 @dataclass(kw_only=True)
@@ -128,16 +130,19 @@ def compute(inputs: ReportInputs) -> Shown | None:
         found = inputs.answer or answer.answer(inputs.study, progress=not inputs.quiet)
         progress.begin(SLIDERS if inputs.sliders else SECTIONS)
         moved = response_surface.surrogate(found) if inputs.sliders else None
-        study, tolerances = inputs.study, found.allocation.tolerances
-        lives, losses = lives_if_any(study, tolerances), losses_if_any(study, tolerances)
-        budget = budget_if_any(study, tolerances)
+        bearings, friction, budget = _sections(inputs.study, found.allocation.tolerances)
         progress.begin(WRITING)
-    return Shown(
-        found,
-        moved,
-        section_on(budget) if budget else None,
+    return Shown(found, moved, budget, bearings, friction)
+
+
+def _sections(study: Study, tolerances: PyTree) -> tuple[Section | None, ...]:
+    """Sections on bearing lives, friction and the error budget."""
+    lives, losses = lives_if_any(study, tolerances), losses_if_any(study, tolerances)
+    budget = budget_if_any(study, tolerances)
+    return (
         bearing_section(lives, study) if lives else None,
         friction_section(losses, study) if losses else None,
+        section_on(budget) if budget else None,
     )
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -105,23 +105,6 @@ def _of_units(unit: _Turned, population: Population, z: jax.Array) -> tuple[Turn
     return jax.vmap(lambda z: unit(population.errors(z)), in_axes=-1)(z)
 
 
-class _Question(NamedTuple):
-    """Arguments of the program for one study."""
-
-    unit: _Turned
-    population: Population
-
-    @staticmethod
-    def of(study: Study, tolerances: PyTree) -> "_Question | None":
-        """None where the study requires no output of friction."""
-        if not any(name in study.requirements for name in OUTPUTS):
-            return None
-        given = study.conditions
-        size = sign_of(given) * abs(given.output_torque)
-        torques = (*(size * share for share in TORQUES if size), given.output_torque)
-        return _Question(_Turned(study.design, given, torques), Population.of(tolerances))
-
-
 def losses_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> UnitLosses | None:
     """The losses of a study that requires an output of friction; None for another study.
 
@@ -133,9 +116,12 @@ def losses_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> Un
     Raises:
         ValueError: the unit without errors, or every other unit, has no losses.
     """
-    if (asked := _Question.of(study, tolerances)) is None:
+    if not any(name in study.requirements for name in OUTPUTS):
         return None
-    unit, population = asked
+    given, population = study.conditions, Population.of(tolerances)
+    size = sign_of(given) * abs(given.output_torque)
+    torques = (*(size * share for share in TORQUES if size), given.output_torque)
+    unit = _Turned(study.design, given, torques)
     z = np.asarray(drawn(population, root_key(study.seed + 4), jnp.uint32(0), count=units + 1)).copy()
     z[:, 0] = 0
     sets: tuple[Turned, ...] = jax.device_get(_of_units(unit, population, z))

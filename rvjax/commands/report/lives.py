@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -108,32 +108,21 @@ def _of_units(unit: Callable[[PyTree, PyTree], PyTree], population: Population, 
     return jax.vmap(lambda z: unit(population.errors(z), load), in_axes=-1)(z)
 
 
-class _Question(NamedTuple):
-    """Arguments of the programs for one study."""
-
-    rated: _Rated
-    turned: _Turned
-    population: Population
-    duty: life.Duty
-    torque: float  # the largest of the duty, N m
-
-    @staticmethod
-    def of(study: Study, tolerances: PyTree) -> "_Question | None":
-        """None where the study requires no life."""
-        if not any(name in study.requirements for name in LIVES):
-            return None
-        given = study.conditions
-        supports = loaded.ways(given)
-        samples = given.life_samples or given.samples
-        ways = dict(samples=samples, method=given.life_method, reliability=given.reliability) | supports
-        orders = dict(samples=8 * study.design.counts["pins"]) | supports
-        return _Question(
-            _Rated(study.design, tuple(ways.items())),
-            _Turned(study.design, tuple(orders.items())),
-            Population.of(tolerances),
-            duty := life.Duty(*np.asarray(given.duty, float).T),
-            float(np.max(np.abs(duty.output_torque))),
-        )
+def _units_of(study: Study, tolerances: PyTree) -> tuple[_Rated, _Turned, Population, life.Duty] | None:
+    """Arguments of the programs; None where the study requires no life."""
+    if not any(name in study.requirements for name in LIVES):
+        return None
+    given = study.conditions
+    supports = loaded.ways(given)
+    samples = given.life_samples or given.samples
+    ways = dict(samples=samples, method=given.life_method, reliability=given.reliability) | supports
+    orders = dict(samples=8 * study.design.counts["pins"]) | supports
+    return (
+        _Rated(study.design, tuple(ways.items())),
+        _Turned(study.design, tuple(orders.items())),
+        Population.of(tolerances),
+        life.Duty(*np.asarray(given.duty, float).T),
+    )
 
 
 def lives_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> Lives | None:
@@ -147,10 +136,10 @@ def lives_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> Liv
     Raises:
         ValueError: no unit has a life.
     """
-    if (asked := _Question.of(study, tolerances)) is None:
+    if (asked := _units_of(study, tolerances)) is None:
         return None
-    unit, turned, population, duty, torque = asked
-    given, pins = study.conditions, unit.design.counts["pins"]
+    unit, turned, population, duty = asked
+    given, pins, torque = study.conditions, unit.design.counts["pins"], float(np.max(np.abs(duty.output_torque)))
 
     # The first unit has every error at the centre of its limits; the others are random.
     z = np.asarray(drawn(population, root_key(study.seed + 3), jnp.uint32(0), count=units + 1)).copy()
