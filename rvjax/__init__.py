@@ -8,7 +8,7 @@ part tolerances into the distribution of a response and a required yield into th
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from rvjax._ground import sections as _sections
+from rvjax.base import sections as _sections
 
 if TYPE_CHECKING:
     from rvjax import catalogue, plotting, units

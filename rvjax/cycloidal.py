@@ -9,9 +9,9 @@ from typing import Any, ClassVar, Self
 import jax
 import numpy as np
 
-from rvjax._ground.choices import choose
 from rvjax._reducer.bearings import Bearings
 from rvjax._reducer.friction import Friction
+from rvjax.base.words import choose
 from rvjax.designs import Contact, CycloidStage
 from rvjax.errors import RUNNING, Errors, RVErrors, deviation, part
 from rvjax.records import Record, Scalar, concrete, count, field, quantity, record, text

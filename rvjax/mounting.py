@@ -17,8 +17,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._ground.axes import axis_sizes
-from rvjax._ground.choices import unknown
+from rvjax.base.fields import axis_sizes
+from rvjax.base.words import unknown
 from rvjax.errors import described
 from rvjax.records import Array, PyTree, Scalar
 

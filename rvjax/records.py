@@ -17,13 +17,12 @@ import jax.export
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._ground import frames
-from rvjax._ground.axes import Shape as Shape, fit, shape_text
-from rvjax._ground.choices import unknown
-from rvjax._ground.repr import brief, field_table
+from rvjax.base import frames
+from rvjax.base.fields import Shape as Shape, brief, field_table, fit, shape_text
+from rvjax.base.words import unknown
 
 if TYPE_CHECKING:
-    from rvjax._ground.frames import DataFrame, Dataset
+    from rvjax.base.frames import DataFrame, Dataset
 
 Array = jax.Array
 # One number; under `jax.vmap` and in a stack of records one for each case. An ndarray of any type doubled mypy's time.

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._ground.repr import numbers_of, value_text
+from rvjax.base.fields import numbers_of, value_text
 from rvjax.records import Array, PyTree, Record, field, record
 
 Result = TypeVar("Result")

@@ -10,7 +10,7 @@ import re
 import unicodedata
 from collections.abc import Collection
 
-from rvjax._ground.choices import UnknownWord, unknown
+from rvjax.base.words import UnknownWord, unknown
 
 mm = 1e-3
 um = 1e-6

@@ -15,7 +15,7 @@ from cli_study import SMALL
 
 import rvjax
 from rvjax import cli, commands, published
-from rvjax._ground.files import write_atomically
+from rvjax.base.files import write_atomically
 
 
 @pytest.mark.parametrize(

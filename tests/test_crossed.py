@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rvjax import cli, tolerances
-from rvjax._ground import progress
+from rvjax.base import progress
 from rvjax.commands.compare import cost_of, differences, put_into
 from rvjax.commands.sections.cells import met_text
 from rvjax.study import load, parse_study

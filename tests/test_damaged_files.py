@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from rvjax import cli
-from rvjax._ground.files import digest, pack, unpack
+from rvjax.base.files import digest, pack, unpack
 from rvjax.commands.montecarlo import batch
 from rvjax.render import Note, Report, new_folder, results_folder, write_files
 from rvjax.tolerances import Folder, Requirement, Tolerance, load, monte_carlo, origin
@@ -123,7 +123,7 @@ def test_two_processes_that_write_one_file_do_not_mix(tmp_path):
     """Each writes its own letter, longer every time; whoever reads meanwhile finds the whole of one of them."""
     path = tmp_path / "a"
     script = (
-        "import sys; from pathlib import Path; from rvjax._ground.files import write_atomically\n"
+        "import sys; from pathlib import Path; from rvjax.base.files import write_atomically\n"
         "for k in range(1, 200): write_atomically(Path(sys.argv[1]), sys.argv[2].encode() * 1000 * k)"
     )
     writers = [subprocess.Popen([sys.executable, "-c", script, str(path), letter]) for letter in "ab"]
@@ -141,7 +141,7 @@ def test_two_processes_that_write_one_file_do_not_mix(tmp_path):
 def test_two_processes_check_one_folder_at_once(tmp_path):
     """As two commands of one study begin: neither takes away the trial file of the other, and none is left."""
     script = (
-        "import sys; from pathlib import Path; from rvjax._ground.files import check_writable\n"
+        "import sys; from pathlib import Path; from rvjax.base.files import check_writable\n"
         "for _ in range(3000): check_writable(Path(sys.argv[1]))"
     )
     command = [sys.executable, "-c", script, str(tmp_path / "results" / "study")]

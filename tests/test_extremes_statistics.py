@@ -12,7 +12,7 @@ import pytest
 from scipy import stats
 
 from oracles.linear_pair import COSTS, LIMIT, PAIR, WIDE, linear
-from rvjax._ground.files import PARTIAL, write_atomically
+from rvjax.base.files import PARTIAL, write_atomically
 from rvjax.status import Status
 from rvjax.study import StudyError
 from rvjax.study.read import EMBEDDED, parse_study

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rvjax import cli, measured, study
-from rvjax._ground.cells import read_cells
+from rvjax.base.cells import read_cells
 from rvjax.commands.compensate import corrections
 from rvjax.designs import RVReducer
 from rvjax.measured import read_table

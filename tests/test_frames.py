@@ -10,7 +10,7 @@ import pytest
 
 import rvjax
 from rvjax import cli, four_bar
-from rvjax._ground import frames
+from rvjax.base import frames
 from rvjax.catalogue import RV_40E
 from rvjax.tolerances import Allocation, Requirement, Tolerance, monte_carlo, sobol_indices
 

@@ -26,7 +26,7 @@ FLOORS = tuple(tuple(re.split(r" {2,}", line)[0].split()) for line in DIAGRAM.sp
 FLOOR = {name: number for number, names in enumerate(FLOORS) for name in names}
 
 
-PRIVATE = ("_ground", "_jax", "_reducer")  # folders of single modules, without names in their `__init__`
+PRIVATE = ("base", "_jax", "_reducer")  # folders of single modules, without names in their `__init__`
 
 
 def rooms():
@@ -152,7 +152,7 @@ def test_the_top_level_holds_what_belongs_there():
 
 def test_statistics_know_no_gears():
     """The package itself is named for its version alone."""
-    ground = {"__version__", "_ground", "_jax", "records", "roots", "status", "units"}
+    ground = {"__version__", "base", "_jax", "records", "roots", "status", "units"}
     ground |= {"population", "response", "tolerances"}
     for room in ("population", "response", "tolerances", "identify", "assembly", "compensation"):
         for path in (PACKAGE / room).rglob("*.py"):
@@ -173,7 +173,7 @@ def test_no_thread_but_of_progress_and_processes_and_no_look_into_the_interprete
                 modules[module].add(path.relative_to(PACKAGE).as_posix())
             if getattr(node, "attr", getattr(node, "id", None)) in names:
                 looks.append(f"{path.relative_to(PACKAGE)}:{node.lineno}")
-    watching = {"_ground/progress.py", "_jax/distributed.py", "tolerances/batch/processes.py"}
+    watching = {"base/progress.py", "_jax/distributed.py", "tolerances/batch/processes.py"}
     assert modules.pop("threading") == watching | {"commands/montecarlo/batch.py"}
     assert (looks, set().union(*modules.values())) == ([], set())
 

@@ -9,7 +9,7 @@ import time
 import pytest
 
 from rvjax import tolerances
-from rvjax._ground import progress
+from rvjax.base import progress
 
 EXPECTED = {"reading": 10.0, "searching": 30.0, "writing": 10.0}
 

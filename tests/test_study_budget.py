@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from rvjax import RVErrors, cli, four_bar, plotting, study
-from rvjax._ground import progress
+from rvjax.base import progress
 from rvjax.commands.budget import budgets, effects, error_budget, regression, report_on, section_on, tables
 from rvjax.errors import STAGES
 from rvjax.population import Population, Tolerance, drawn, root_key

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from rvjax import cli
-from rvjax._ground.lines import refilled, wrapped
+from rvjax.base.words import refilled, wrapped
 from rvjax.commands.sections.influence import _Slope
 from rvjax.render import Interval, Note, Report, Table, Text, aligned
 from rvjax.render.page import typeset

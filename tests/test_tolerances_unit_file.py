@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from rvjax import cli, tolerances
-from rvjax._ground.files import versions
+from rvjax.base.files import versions
 from rvjax.population.population import Population
 from rvjax.response import devices
 from rvjax.status import Status

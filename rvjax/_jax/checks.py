@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, ParamSpec, TypeVar
 import jax
 import numpy as np
 
-from rvjax._ground.choices import unknown
+from rvjax.base.words import unknown
 from rvjax.records import Array, Scalar
 
 P = ParamSpec("P")

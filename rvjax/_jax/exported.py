@@ -22,8 +22,8 @@ import jax.numpy as jnp
 import jaxlib.version
 import numpy as np
 
-from rvjax._ground.files import write_atomically
 from rvjax._jax.sizes import platform_of, spread
+from rvjax.base.files import write_atomically
 from rvjax.records import Array, PyTree, Scalar
 
 SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision", "jax_debug_nans", "jax_numpy_dtype_promotion")

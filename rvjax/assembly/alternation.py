@@ -8,8 +8,8 @@ from contextvars import ContextVar
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from rvjax._ground.progress import detail
 from rvjax.assembly.supply import Build, Supply, assigned, beyond, copies
+from rvjax.base.progress import detail
 
 ROUNDS = 150  # of the Lagrangian
 

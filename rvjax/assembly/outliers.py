@@ -6,8 +6,8 @@ from collections.abc import Hashable
 import jax
 import numpy as np
 
-from rvjax._ground.columns import element
 from rvjax.assembly.parts import Kind, Path, at_path
+from rvjax.base.columns import element
 from rvjax.tolerances import Tolerance
 
 _HALF_WIDTHS = 3.0  # from the middle of the limits: nine standard deviations of a process that just fills them

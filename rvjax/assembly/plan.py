@@ -8,7 +8,6 @@ from collections.abc import Hashable, Mapping
 
 import numpy as np
 
-from rvjax._ground.choices import choose
 from rvjax._jax.checks import checked
 from rvjax.assembly.alternation import best_so_far
 from rvjax.assembly.choice import CLOSE, EXACT, least_largest, least_sum
@@ -18,6 +17,7 @@ from rvjax.assembly.outliers import UnusualPart, outliers
 from rvjax.assembly.parts import Kind, Known, known
 from rvjax.assembly.random_assembly import MOST_FRESH, random_assembly
 from rvjax.assembly.supply import Build, Supply
+from rvjax.base.words import choose
 from rvjax.population import deviate_of, score_interval
 from rvjax.tolerances import Estimate, Requirement
 

@@ -17,7 +17,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from rvjax._ground.lines import refilled, terminal_width
+from rvjax.base.words import refilled, terminal_width
 from rvjax.commands import (
     COMMANDS,
     EXIT_BAD_INPUT,
@@ -40,8 +40,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _parsed(_parser(), given)[1]
     shared = any(word.partition("=")[0] in ("--processes", "--worker") for word in given)
     _prepare(gpu=may_use_gpu(name, 2 if shared else 1))
-    from rvjax._ground.frames import MissingExtra
-    from rvjax._ground.progress import ended_by
+    from rvjax.base.frames import MissingExtra
+    from rvjax.base.progress import ended_by
 
     options, inputs = None, None
     try:

@@ -78,7 +78,7 @@ def say(text: str, file: TextIO | None = None) -> None:
         text: one or several lines.
         file: stream; None is standard output.
     """
-    from rvjax._ground import progress
+    from rvjax.base import progress
 
     lines = (
         "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)

@@ -5,7 +5,7 @@ import sys
 from typing import Any
 
 from rvjax import levels
-from rvjax._ground.progress import spelled
+from rvjax.base.progress import spelled
 from rvjax.commands.console import say
 from rvjax.levels import Choice
 from rvjax.response import BLOCK

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rvjax import catalogue
-from rvjax._ground.files import check_writable
+from rvjax.base.files import check_writable
 from rvjax.commands.inputs import Inputs, argument, option, switch
 from rvjax.records import PyTree
 from rvjax.render import Report

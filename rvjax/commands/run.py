@@ -7,9 +7,9 @@ import importlib
 import json
 from types import ModuleType
 
-from rvjax._ground import progress
-from rvjax._ground.lines import terminal_width, wrapped
-from rvjax._ground.sections import Reader
+from rvjax.base import progress
+from rvjax.base.words import terminal_width, wrapped
+from rvjax.base.sections import Reader
 from rvjax.commands.console import EXIT_NO_ANSWER, EXIT_OK, READING, WRITING, say
 from rvjax.commands.inputs import Inputs
 
@@ -59,7 +59,7 @@ def run(name: str, inputs: Inputs, *, as_json: bool = False) -> int:
         inputs: its inputs.
         as_json: print one JSON value in SI instead of text.
     """
-    from rvjax._ground.files import write_atomically  # the help does not wait for NumPy
+    from rvjax.base.files import write_atomically  # the help does not wait for NumPy
     from rvjax.render import plain, write_files
 
     work, folder, width = module(name), inputs.folder, terminal_width()

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from rvjax._ground.files import versions, write_atomically
+from rvjax.base.files import versions, write_atomically
 from rvjax.compensation.table import Table
 
 COLUMNS = ("angle [rad]", "correction [rad]")

@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 
-from rvjax._ground.choices import choose
 from rvjax._jax.checks import checked
+from rvjax.base.words import choose
 from rvjax.compensation.correction import Correction
 
 SIDES = ("input", "output")

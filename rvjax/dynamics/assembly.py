@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._ground.axes import axis_sizes, fit
+from rvjax.base.fields import axis_sizes, fit
 from rvjax.catalogue import RV_320E
 from rvjax.designs import Damping, Inertia, MeshVariation, RVReducer, Stiffness, expect, ratio_of
 from rvjax.records import (

@@ -17,8 +17,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._ground.axes import fit
 from rvjax._reducer.plausible import checked
+from rvjax.base.fields import fit
 from rvjax.designs import RVReducer, expect
 from rvjax.dynamics.assembly import Lumped, admitted, circle, loaded, lump
 from rvjax.dynamics.pin_series import in_phase, series

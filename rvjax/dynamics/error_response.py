@@ -17,11 +17,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._ground.choices import choose
 from rvjax._jax.elementary import root
 from rvjax._jax.kernels import folded, fori_loop
 from rvjax._jax.sizes import LINES
 from rvjax._reducer.plausible import checked
+from rvjax.base.words import choose
 from rvjax.designs import RVReducer
 from rvjax.dynamics.error_balance import balance
 from rvjax.dynamics.error_excitation import Case, Orders, Unit, case_of, error_orders, generators, read

@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._ground.axes import axis_sizes
 from rvjax._reducer.plausible import checked
+from rvjax.base.fields import axis_sizes
 from rvjax.designs import RVReducer
 from rvjax.dynamics.error_excitation import Case, case_of, error_orders, generators, read
 from rvjax.dynamics.error_transfer import check_outputs, close, output_rows, output_speed, transfer

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax._ground.choices import unknown
 from rvjax._reducer.plausible import checked
+from rvjax.base.words import unknown
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted, loaded
 from rvjax.dynamics.error_excitation import Orders, Unit, symmetric

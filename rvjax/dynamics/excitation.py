@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._ground.choices import choose
+from rvjax.base.words import choose
 from rvjax.dynamics.assembly import Lumped, circle
 from rvjax.records import PyTree, Scalar
 

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._ground.choices import unknown
+from rvjax.base.words import unknown
 from rvjax.dynamics.assembly import Lumped, spring_table
 from rvjax.dynamics.excitation import SECTOR, mesh_count, mesh_teeth
 from rvjax.dynamics.modal import Key, ModalSector

@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._ground.choices import choose
 from rvjax._reducer.plausible import checked
+from rvjax.base.words import choose
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted, lump, spring_table
 from rvjax.dynamics.excitation import MESH, check_stage, mesh_frequency, phases, wave_coefficients

@@ -9,8 +9,8 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from rvjax._ground.choices import choose
 from rvjax._reducer.plausible import checked
+from rvjax.base.words import choose
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped
 from rvjax.dynamics.harmonics import OUTPUTS

@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._ground.choices import choose, unknown
 from rvjax._jax.elementary import LARGEST_ANGLE, sin_cos
 from rvjax._reducer.plausible import checked
+from rvjax.base.words import choose, unknown
 from rvjax.four_bar import closures
 from rvjax.records import Array, PyTree, Record, Scalar, concrete, field, promote, quantity, record
 from rvjax.status import SolveInfo, Status, admit, window

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._ground.choices import unknown
 from rvjax._reducer.plausible import checked
+from rvjax.base.words import unknown
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
 from rvjax.four_bar.extremes import PARTS, Figures, extremes

@@ -14,9 +14,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._ground.columns import elements
 from rvjax._jax.kernels import fori_loop, in_blocks
 from rvjax._jax.sizes import PRIORS
+from rvjax.base.columns import elements
 from rvjax.population import Correlation, Population
 from rvjax.records import PyTree
 

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rvjax._ground.linear import svd
 from rvjax._jax.checks import checked
+from rvjax.base.linear import svd
 from rvjax.records import Array
 
 DEPENDENT = 1e-8

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
-from rvjax._ground import frames
 from rvjax._jax.checks import checked
+from rvjax.base import frames
 from rvjax.identify.elements import mapped_values
 from rvjax.identify.gauss_newton import half_square, mixed
 from rvjax.identify.posterior import Posterior

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rvjax._ground.choices import unknown
+from rvjax.base.words import unknown
 from rvjax.levels.table import Model, Table, stored
 from rvjax.outputs import torque_of
 from rvjax.population import Tolerance

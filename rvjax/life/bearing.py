@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import status
-from rvjax._ground.choices import choose
 from rvjax._jax.elementary import log, nonnegative, power
 from rvjax._jax.kernels import scan
 from rvjax._jax.programs import quick
 from rvjax._jax.sizes import LOADS, padded
 from rvjax._reducer.bearings import RollerBearing
 from rvjax._reducer.plausible import checked
+from rvjax.base.words import choose
 from rvjax.designs import expect
 from rvjax.life.histories import LIFE, METHODS, WEIBULL, Damage, basic, magnitude, points, raceway, turned_back
 from rvjax.life.ratings import Ratings, check_ratings, harmless, ratings, unfit

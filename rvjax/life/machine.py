@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import status
-from rvjax._ground.axes import fit
 from rvjax._jax.elementary import power
 from rvjax._reducer.bearings import Bearings, RollerBearing
+from rvjax.base.fields import fit
 from rvjax.errors import Errors
 from rvjax.life.angles import check_angles, inner_angles
 from rvjax.life.bearing import Looseness, check_method, damaged

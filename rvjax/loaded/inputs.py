@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 
 from rvjax import status
-from rvjax._ground.axes import fit
 from rvjax._jax.elementary import LARGEST_ANGLE
+from rvjax.base.fields import fit
 from rvjax.designs import CycloidStage
 from rvjax.errors import Errors, read_by
 from rvjax.geometry import least_convex_radius

@@ -4,7 +4,7 @@ from typing import Protocol
 
 import jax
 
-from rvjax._ground.choices import choose
+from rvjax.base.words import choose
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import RVReducer, expect
 from rvjax.loaded import cycloidal, laws, rv

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rvjax._ground.linear import svd
+from rvjax.base.linear import svd
 
 COLLINEAR = 1e-8  # square of the share of a column that others do not explain
 TINY = 1e-300

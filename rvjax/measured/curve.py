@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rvjax._ground.columns import Table
+from rvjax.base.columns import Table
 from rvjax.measured.conditions import Conditions, where as named
 from rvjax.measured.findings import findings
 from rvjax.measured.judge import judge

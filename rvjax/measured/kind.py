@@ -7,7 +7,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from rvjax._ground.columns import Table
+from rvjax.base.columns import Table
 from rvjax.measured.conditions import Conditions
 
 

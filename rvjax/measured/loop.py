@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rvjax._ground.columns import Table
+from rvjax.base.columns import Table
 from rvjax.measured.branches import branches
 from rvjax.measured.conditions import Conditions
 from rvjax.measured.hysteresis import about, used

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rvjax._ground import columns as cells
-from rvjax._ground.cells import is_number, listed
-from rvjax._ground.columns import Table
-from rvjax._ground.encoding import guessed
+from rvjax.base import columns as cells
+from rvjax.base.cells import is_number, listed
+from rvjax.base.columns import Table
+from rvjax.base.encoding import guessed
 from rvjax.measured.conditions import DIRECTIONS, Conditions
 from rvjax.measured.curve import Curve
 from rvjax.measured.kind import Item, Kind
@@ -41,7 +41,7 @@ def read_table(
     kind: str | None = None,
     encoding: str | None = None,
 ) -> cells.Table:
-    """A table that a bench has written, long or wide; see `rvjax._ground.columns.read_table`.
+    """A table that a bench has written, long or wide; see `rvjax.base.columns.read_table`.
 
     Args:
         path: of the file.

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rvjax._ground.columns import Table
+from rvjax.base.columns import Table
 from rvjax.measured.conditions import Conditions
 from rvjax.measured.kind import Kind
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from rvjax._ground import columns as cells
-from rvjax._ground.cells import listed
-from rvjax._ground.columns import Table, Units, name_and_unit
+from rvjax.base import columns as cells
+from rvjax.base.cells import listed
+from rvjax.base.columns import Table, Units, name_and_unit
 
 SIDES = {
     "forward": ("fwd", "forward", "forwards", "fw", "up", "positive", "↑"),

@@ -10,7 +10,7 @@ import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
 
-from rvjax._ground.lines import words as words
+from rvjax.base.words import words as words
 from rvjax.records import Array
 from rvjax.units import with_unit
 

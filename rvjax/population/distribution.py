@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import jax
 import numpy as np
 
-from rvjax._ground.choices import meant
+from rvjax.base.words import meant
 from rvjax.records import IN_ERROR_UNIT, Record, Scalar
 from rvjax.units import parse
 

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from rvjax._ground import frames
-from rvjax._ground.axes import axis_sizes
-from rvjax._ground.cells import read_cells
-from rvjax._ground.choices import unknown
-from rvjax._ground.columns import name_and_unit, read_table, split
+from rvjax.base import frames
+from rvjax.base.cells import read_cells
+from rvjax.base.columns import name_and_unit, read_table, split
+from rvjax.base.fields import axis_sizes
+from rvjax.base.words import unknown
 from rvjax.population.distributions.empirical import in_steps, step_of
 from rvjax.population.estimates import Estimate, deviate_of
 from rvjax.population.tolerance import Tolerance

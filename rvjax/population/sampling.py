@@ -16,9 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
-from rvjax._ground.axes import axis_sizes
-from rvjax._ground.choices import choose, unknown
 from rvjax._jax.checks import checked
+from rvjax.base.fields import axis_sizes
+from rvjax.base.words import choose, unknown
 from rvjax.population.population import TURN, Correlation, Population, key_of, root_key
 from rvjax.population.tolerance import Tolerance
 from rvjax.records import Design, PyTree, Scalar, is_concrete

@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from rvjax._ground.files import check_writable, naming
+from rvjax.base.files import check_writable, naming
 
 PAGE_FILE = "report.html"
 

@@ -11,7 +11,7 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 import rvjax
-from rvjax._ground.files import versions
+from rvjax.base.files import versions
 from rvjax.render import quantity
 from rvjax.render.content import Block, Note, Section
 from rvjax.render.figure import Figure

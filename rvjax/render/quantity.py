@@ -4,7 +4,7 @@ import math
 import re
 from dataclasses import dataclass
 
-from rvjax._ground.frames import Interval
+from rvjax.base.frames import Interval
 from rvjax.records import Scalar
 from rvjax.units import readable
 

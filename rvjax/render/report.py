@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rvjax._ground.lines import wrapped
+from rvjax.base.words import wrapped
 from rvjax.records import PyTree
 from rvjax.render.content import Block, Content, Note, Section
 from rvjax.render.figure import Figure

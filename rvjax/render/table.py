@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rvjax._ground.cells import is_number
-from rvjax._ground.lines import wrapped
+from rvjax.base.cells import is_number
+from rvjax.base.words import wrapped
 from rvjax.render.quantity import Quantity, Zone, number
 
 GAP = "  "  # between columns

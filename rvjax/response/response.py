@@ -14,9 +14,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._ground.choices import UnknownWord, meant
 from rvjax._jax.programs import Options, inside, kept_folder, understood
 from rvjax._jax.sizes import BLOCK as BLOCK, CPU, platform_of, spread
+from rvjax.base.words import UnknownWord, meant
 from rvjax.population import Given, Population, drawn
 from rvjax.records import Array, PyTree, Record, field, record
 from rvjax.status import Status, succeeded, worst

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from rvjax import status
-from rvjax._ground.choices import choose
+from rvjax.base.words import choose
 from rvjax.designs import Bearings, Friction, expect
 from rvjax.errors import Errors
 from rvjax.life import check_alone, check_angles, check_places

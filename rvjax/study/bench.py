@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import models
-from rvjax._ground.choices import unknown
 from rvjax._jax.programs import Options
+from rvjax.base.words import unknown
 from rvjax.errors import described, read_by
 from rvjax.measured import Conditions
 from rvjax.outputs import Observation, torque_of

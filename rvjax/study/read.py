@@ -8,9 +8,9 @@ from importlib import resources
 from pathlib import Path
 
 from rvjax import models
-from rvjax._ground.choices import meant
-from rvjax._ground.sections import reader as sections_reader
 from rvjax._reducer.deviations import remind_of_precision
+from rvjax.base.sections import reader as sections_reader
+from rvjax.base.words import meant
 from rvjax.outputs import Output
 from rvjax.records import IN_ERROR_UNIT, Design, PyTree
 from rvjax.running import OF_JOINT

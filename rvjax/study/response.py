@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 
 from rvjax import models
-from rvjax._ground.choices import unknown
 from rvjax._jax.programs import ONCE
+from rvjax.base.words import unknown
 from rvjax.errors import described
 from rvjax.levels import Choice
 from rvjax.outputs import Joint, Reading, Solved, Source

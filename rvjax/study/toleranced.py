@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from rvjax import models
-from rvjax._ground.axes import axis_sizes
+from rvjax.base.fields import axis_sizes
 from rvjax.errors import described, placed_by
 from rvjax.population import COMMON, DISTRIBUTIONS
 from rvjax.records import Design, PyTree, Shape

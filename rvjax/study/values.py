@@ -4,8 +4,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-from rvjax._ground.choices import UnknownWord, choose, unknown
 from rvjax._reducer.plausible import shown
+from rvjax.base.words import UnknownWord, choose, unknown
 from rvjax.units import KNOWN, parse
 
 Toml = dict[str, object]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 
-from rvjax._ground.choices import unknown
+from rvjax.base.words import unknown
 from rvjax.outputs import Output
 from rvjax.records import Design
 from rvjax.study.kinds import fields_of, kind_of, number_at, split

@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._ground.progress import progress_bar
 from rvjax._jax.checks import checked
+from rvjax.base.progress import progress_bar
 from rvjax.population import Estimate, Population, of_groups, student
 from rvjax.response import Response
 from rvjax.status import SolveInfo, Status

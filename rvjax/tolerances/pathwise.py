@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._ground.choices import unknown
+from rvjax.base.words import unknown
 from rvjax.population import Population, drawn, root_key
 from rvjax.records import PyTree
 from rvjax.response import Response, Values, evaluate, per_response, unwrapped

@@ -13,7 +13,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from rvjax._ground.files import DAMAGE, pack, unpack, versions, write_atomically
+from rvjax.base.files import DAMAGE, pack, unpack, versions, write_atomically
 from rvjax.records import PyTree, Record
 from rvjax.tolerances.batch.unit_file import parquet_frame, parquet_origin
 

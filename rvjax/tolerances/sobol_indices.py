@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._ground import frames
 from rvjax._jax.checks import checked
 from rvjax._jax.sizes import padded
+from rvjax.base import frames
 from rvjax.population import (
     SCRAMBLES,
     Correlation,
@@ -27,7 +27,7 @@ from rvjax.response import Response, respond, response_names, unwrapped
 from rvjax.status import succeeded
 
 if TYPE_CHECKING:
-    from rvjax._ground.frames import DataFrame
+    from rvjax.base.frames import DataFrame
 
 _FEWEST = 2 * SCRAMBLES
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rvjax._ground.progress import begin, progress_bar
+from rvjax.base.progress import begin, progress_bar
 from rvjax.commands.allocate.full_model_check import Unlimited, Whole, unlimited, whole
 from rvjax.commands.curves import curves_of
 from rvjax.commands.forecast import CERTIFYING, PRICING, SAMPLING, SEARCHING, shown_values, targets

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import rvjax
 from rvjax import tolerances
-from rvjax._ground.files import versions
+from rvjax.base.files import versions
 from rvjax.commands.allocate.answer import Answer, Side
 from rvjax.commands.allocate.full_model_check import Unlimited, Whole
 from rvjax.records import PyTree

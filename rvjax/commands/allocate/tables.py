@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rvjax._ground.files import versions
+from rvjax.base.files import versions
 from rvjax.commands.allocate import stored_result
 from rvjax.commands.allocate.answer import Answer
 from rvjax.commands.allocate.figures import figures

@@ -11,8 +11,8 @@ import numpy as np
 
 import rvjax
 from rvjax import assembly, study
-from rvjax._ground import progress
-from rvjax._ground.files import versions
+from rvjax.base import progress
+from rvjax.base.files import versions
 from rvjax.assembly import Plan
 from rvjax.commands.assemble.parts import REST, Bench as Bench, bench, unit_values
 from rvjax.commands.assemble.prices import Price as Price, price_table, prices as prices

@@ -10,12 +10,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._ground import columns
-from rvjax._ground.axes import axis_sizes
-from rvjax._ground.cells import MARKS, read_cells
-from rvjax._ground.encoding import guessed
-from rvjax._ground.numbers import number_of
-from rvjax._ground.repr import value_text
+from rvjax.base import columns
+from rvjax.base.fields import axis_sizes
+from rvjax.base.cells import MARKS, read_cells
+from rvjax.base.encoding import guessed
+from rvjax.base.numbers import number_of
+from rvjax.base.fields import value_text
 from rvjax.assembly import Kind, Machine, Part, Plan, UnitResponse, draw, known as known_parts, outliers, supply_of
 from rvjax.commands.assemble.section import table_of
 from rvjax.mounting import AXES, carried, disc_mountings, drawing

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from rvjax import study
-from rvjax._ground import progress as phase
+from rvjax.base import progress as phase
 from rvjax.commands.budget.budgets import (
     Budget as Budget,
     ScalarBudget,

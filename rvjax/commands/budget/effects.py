@@ -6,8 +6,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from rvjax._ground.choices import choose
 from rvjax._jax.sizes import AT_ONCE
+from rvjax.base.words import choose
 from rvjax.errors import STAGES, described
 from rvjax.population import Population
 from rvjax.study import Study

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from rvjax._ground.files import versions
+from rvjax.base.files import versions
 from rvjax.commands.budget.budgets import Budget, ScalarBudget
 from rvjax.commands.budget.effects import LEVELS
 from rvjax.commands.sections.influence import SHARE_MEANS, UNMOVED_MEANS, influence_share, slope_text, together_text

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from rvjax import study
-from rvjax._ground import progress
+from rvjax.base import progress
 from rvjax.commands.compare.results import (
     Crossed,
     Result,

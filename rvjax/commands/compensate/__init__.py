@@ -10,8 +10,8 @@ import numpy as np
 
 import rvjax
 from rvjax import study
-from rvjax._ground import progress
-from rvjax._ground.files import versions
+from rvjax.base import progress
+from rvjax.base.files import versions
 from rvjax.commands.compensate.corrections import Corrections, Curve, corrections, periodic
 from rvjax.commands.console import READING, WRITING
 from rvjax.commands.inputs import (

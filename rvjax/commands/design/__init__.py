@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rvjax import study
-from rvjax._ground.files import versions
+from rvjax.base.files import versions
 from rvjax._jax.solved_state import moving
 from rvjax._reducer.plausible import steep
 from rvjax.commands.allocate import stored_result

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import optimize
 
-from rvjax._ground import progress
+from rvjax.base import progress
 from rvjax.records import Array, PyTree
 from rvjax.study import Law, Study, StudyError, kind_of
 from rvjax.tolerances import Allocation, Memo, Variable, allocate

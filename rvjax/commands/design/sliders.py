@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from markupsafe import Markup
 
-from rvjax._ground.lines import words
+from rvjax.base.words import words
 from rvjax.commands.design.optimum import Designed
 from rvjax.commands.design.prices import nominal_limit, unit_of_number
 from rvjax.commands.report import cost_data, script_of

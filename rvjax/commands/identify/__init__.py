@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rvjax import identify, study
-from rvjax._ground.files import versions
+from rvjax.base.files import versions
 from rvjax.commands.console import READING, WRITING
 from rvjax.commands.identify.figures import figures
 from rvjax.commands.identify.head import head_of

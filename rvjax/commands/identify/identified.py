@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rvjax import identify
-from rvjax._ground import progress
+from rvjax.base import progress
 from rvjax.measured import KINDS, Finding, foreign, judge
 from rvjax.records import PyTree
 from rvjax.study import Measured, Problem, Run, Study, candidates, inverse_problem, kind_of, order_name, orders_of

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rvjax import tolerances
-from rvjax._ground import progress
+from rvjax.base import progress
 from rvjax._jax.sizes import CHUNK
 from rvjax.commands.console import READING, share_cores, units_placed
 from rvjax.commands.forecast import forewarn, unit_seconds

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import rvjax
 from rvjax import study
-from rvjax._ground import progress
-from rvjax._ground.files import check_writable
+from rvjax.base import progress
+from rvjax.base.files import check_writable
 from rvjax.commands.allocate import FILE, Answer, answer, headline, report_on, restored_from
 from rvjax.commands.budget import budget_if_any, section_on
 from rvjax.commands.console import READING, share_cores, tell, units_placed

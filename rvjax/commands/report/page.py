@@ -8,7 +8,7 @@ import shlex
 from dataclasses import dataclass
 
 from rvjax import catalogue, levels, models
-from rvjax._ground.lines import words
+from rvjax.base.words import words
 from rvjax.commands.allocate import (
     Answer,
     figures,

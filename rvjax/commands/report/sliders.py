@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from rvjax._ground.lines import words
+from rvjax.base.words import words
 from rvjax.commands.allocate import Answer
 from rvjax.commands.report.response_surface import COMPARED, Surrogate, grows_from_lower, placed
 from rvjax.render import Block, Note, Section, micro

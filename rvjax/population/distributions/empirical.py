@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
 
-from rvjax._ground.columns import read_table
+from rvjax.base.columns import read_table
 from rvjax.population.distribution import Distribution, Moments, bad
 from rvjax.records import IN_ERROR_UNIT, Array, Scalar, concrete, field, is_concrete, record
 from rvjax.units import KNOWN, recognised, unknown_unit

@@ -4,8 +4,8 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
-from rvjax._ground.progress import progress_bar
 from rvjax._jax.checks import checked
+from rvjax.base.progress import progress_bar
 from rvjax.population import Correlation
 from rvjax.response import DesignResponse, Response, unwrapped
 from rvjax.tolerances.allocation.problem import problem_of

@@ -5,8 +5,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rvjax._ground.choices import choose
 from rvjax._jax.checks import checked
+from rvjax.base.words import choose
 from rvjax.response import Response
 from rvjax.tolerances.allocation.allocate import allocate
 from rvjax.tolerances.allocation.result import Allocation

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from rvjax._ground.choices import unknown
+from rvjax.base.words import unknown
 from rvjax.population import Correlation, Estimate, Population, Tolerance, deviate_of
 from rvjax.records import Record, is_concrete
 from rvjax.response import BLOCK, Response, by_response, is_costly, response_names

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from rvjax._ground import frames
+from rvjax.base import frames
 from rvjax.population import Estimate, Population
 from rvjax.tolerances.allocation.decisions import AT, Decisions
 from rvjax.tolerances.batch.statistics import Statistics

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from rvjax._ground.files import Arrays
+from rvjax.base.files import Arrays
 from rvjax.population import CentralMoments, Pairwise
 from rvjax.status import SUCCESS, Status
 from rvjax.tolerances.batch.chunks import Chunks

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr
 
-from rvjax._ground.files import DAMAGE, PARTIAL, Arrays, digest, pack, unpack, write_atomically
+from rvjax.base.files import DAMAGE, PARTIAL, Arrays, digest, pack, unpack, write_atomically
 from rvjax.population import Population
 from rvjax.records import Record
 from rvjax.response import Response, respond

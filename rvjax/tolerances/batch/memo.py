@@ -13,7 +13,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from rvjax._ground.files import DAMAGE, pack, unpack, write_atomically
+from rvjax.base.files import DAMAGE, pack, unpack, write_atomically
 from rvjax.response import Values
 
 _DIGITS = 32

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol
 
-from rvjax._ground.files import pack, unpack, write_atomically
+from rvjax.base.files import pack, unpack, write_atomically
 from rvjax.tolerances.batch.accumulator import Accumulator
 
 SILENCE = 120.0

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from rvjax._ground.files import DAMAGE, pack, unpack, versions
-from rvjax._ground.progress import progress_bar
 from rvjax._jax.distributed import Store, place
+from rvjax.base.files import DAMAGE, pack, unpack, versions
+from rvjax.base.progress import progress_bar
 from rvjax.population import SCRAMBLES, Estimate, Population, Sampled
 from rvjax.records import PyTree
 from rvjax.response import Response, evaluator

@@ -3,12 +3,12 @@
 import dataclasses
 from typing import TYPE_CHECKING
 
-from rvjax._ground import frames
+from rvjax.base import frames
 from rvjax.population import Estimate
 from rvjax.records import PyTree
 
 if TYPE_CHECKING:
-    from rvjax._ground.frames import DataFrame
+    from rvjax.base.frames import DataFrame
 
 
 @dataclasses.dataclass(frozen=True)

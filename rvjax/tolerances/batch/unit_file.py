@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
 
-from rvjax._ground import frames
-from rvjax._ground.columns import elements
-from rvjax._ground.files import check_writable, replacing
+from rvjax.base import frames
+from rvjax.base.columns import elements
+from rvjax.base.files import check_writable, replacing
 from rvjax.population import Population
 from rvjax.records import PyTree
 from rvjax.status import SUCCESS, Status
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pyarrow import Schema
     from pyarrow.parquet import ParquetWriter
 
-    from rvjax._ground.frames import DataFrame
+    from rvjax.base.frames import DataFrame
 
 ENDINGS = (".csv", ".parquet")
 FORMAT = 1

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rvjax._ground.cells import MARKS, UNITS, Row, listed, narrow, read_cells
-from rvjax._ground.choices import unknown
-from rvjax._ground.encoding import guessed
-from rvjax._ground.numbers import grouping_of, has_decimal_comma, last_digit, number_of
+from rvjax.base.cells import MARKS, UNITS, Row, listed, narrow, read_cells
+from rvjax.base.encoding import guessed
+from rvjax.base.numbers import grouping_of, has_decimal_comma, last_digit, number_of
+from rvjax.base.words import unknown
 from rvjax.units import intended, recognised, spelling
 
 Units = Mapping[str, Mapping[str, float]]

@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
-from rvjax._ground.choices import unknown
+from rvjax.base.words import unknown
 
 SCRIPTS = {
     "cp1252": "western Europe",
