@@ -8,8 +8,8 @@ import json
 from types import ModuleType
 
 from rvjax.base import progress
-from rvjax.base.words import terminal_width, wrapped
 from rvjax.base.sections import Reader
+from rvjax.base.words import terminal_width, wrapped
 from rvjax.commands.console import EXIT_NO_ANSWER, EXIT_OK, READING, WRITING, say
 from rvjax.commands.inputs import Inputs
 

@@ -11,9 +11,9 @@ import numpy as np
 
 import rvjax
 from rvjax import assembly, study
+from rvjax.assembly import Plan
 from rvjax.base import progress
 from rvjax.base.files import versions
-from rvjax.assembly import Plan
 from rvjax.commands.assemble.parts import REST, Bench as Bench, bench, unit_values
 from rvjax.commands.assemble.prices import Price as Price, price_table, prices as prices
 from rvjax.commands.assemble.section import Assembly as Assembly, section as section, table_of

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from rvjax import models
-from rvjax.base.words import choose
-from rvjax.base.progress import progress_bar
 from rvjax._jax.sizes import AT_ONCE
+from rvjax.base.progress import progress_bar
+from rvjax.base.words import choose
 from rvjax.commands.budget.effects import FEWEST, MOST, Load, by_level, of_load, parts_of
 from rvjax.commands.curves import curves_of
 from rvjax.outputs import Curve, torque_condition, torque_of

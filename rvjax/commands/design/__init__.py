@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from rvjax import study
-from rvjax.base.files import versions
 from rvjax._jax.solved_state import moving
 from rvjax._reducer.plausible import steep
+from rvjax.base.files import versions
 from rvjax.commands.allocate import stored_result
 from rvjax.commands.console import READING, WRITING, share_cores
 from rvjax.commands.design import sliders

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from rvjax import tolerances
-from rvjax.base import progress
 from rvjax._jax.sizes import CHUNK
+from rvjax.base import progress
 from rvjax.commands.console import READING, share_cores, units_placed
 from rvjax.commands.forecast import forewarn, unit_seconds
 from rvjax.commands.inputs import Inputs, option, quiet_option, study_argument, switch, whole_number
