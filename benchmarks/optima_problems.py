@@ -19,7 +19,7 @@ import numpy as np
 from scipy import optimize, stats
 
 from benchmarks.census import grades
-from rvjax.commands.init.compute import written
+from rvjax.commands.init import written
 from rvjax.study import Study, load, parse_study
 from rvjax.tolerances import (
     CpkAtLeast,

@@ -85,7 +85,7 @@ def __getattr__(name: str) -> Any:
 
 
 # Commands read tables of their own in study files; importing them here would be a look upwards from `study`.
-_sections.LOOKUPS.append(lambda table: importlib.import_module("rvjax.commands").section(table))
+_sections.LOOKUPS.append(lambda table: importlib.import_module("rvjax.commands.run").section(table))
 
 
 def __dir__() -> list[str]:

@@ -39,9 +39,9 @@ def one_start() -> Iterator[None]:
 def answered_once() -> Iterator[dict]:
     """Every study is answered once, whichever command asks, from one start; what follows its sliders is fitted once."""
     import rvjax.commands.allocate.answer
-    from rvjax.commands.report import surrogate as behind
+    from rvjax.commands.report import response_surface
 
-    real, fitted = rvjax.commands.allocate.answer.answer, behind.surrogate
+    real, fitted = rvjax.commands.allocate.answer.answer, response_surface.surrogate
 
     def once(question, *, progress=False, memo=None, measure=True):
         if question.text not in FOUND:
@@ -57,5 +57,5 @@ def answered_once() -> Iterator[dict]:
 
     with pytest.MonkeyPatch.context() as patch, one_start():
         patch.setattr(rvjax.commands.allocate.answer, "answer", once)
-        patch.setattr(behind, "surrogate", few)
+        patch.setattr(response_surface, "surrogate", few)
         yield FOUND

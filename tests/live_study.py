@@ -11,7 +11,7 @@ from cli_study import one_start
 
 from rvjax import study
 from rvjax.commands.allocate.answer import Answer, answer
-from rvjax.commands.report import surrogate
+from rvjax.commands.report import response_surface
 from rvjax.response.response import BLOCK
 
 PLAY = """# the play of an RV-20E
@@ -73,12 +73,12 @@ FEW = dict(points=4, fresh=BLOCK)  # points and independent units that show as m
 
 
 @functools.cache
-def played() -> tuple[Answer, surrogate.Surrogate]:
-    """The study's answer and surrogate."""
+def played() -> tuple[Answer, response_surface.Surrogate]:
+    """The study's answer and response_surface."""
     with one_start():
         found = answer(study.parse_study(PLAY, name="play"))
     assert found.allocation.feasible
-    made = surrogate.surrogate(found, **FEW)
+    made = response_surface.surrogate(found, **FEW)
     assert made is not None
     return found, made
 

@@ -20,7 +20,7 @@ import pytest
 
 from rvjax import cli, levels, models, study
 from rvjax.catalogue import RV_20E, RV_40E
-from rvjax.commands.tradeoff.report import report
+from rvjax.commands.tradeoff import report
 from rvjax.levels import measured
 from rvjax.levels.measure import evaluate, limits
 from rvjax.levels.table import SAFETY, Level, Model, Table, stored

@@ -15,8 +15,8 @@ from cycloidal_cases import dictionaries
 
 from rvjax import cli, compensation, plotting, study
 from rvjax.assembly import plan
-from rvjax.commands.assemble import Price, bench, prices
-from rvjax.commands.assemble.report import _others as others, price_table
+from rvjax.commands.assemble import Price, _others as others, bench, prices
+from rvjax.commands.assemble.prices import price_table
 from rvjax.commands.compensate import corrections
 from rvjax.units import arcsec, um
 from tests.oracles import cycloidal as oracle

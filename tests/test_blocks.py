@@ -14,7 +14,7 @@ import pytest
 from rvjax import RVErrors, catalogue, loaded
 from rvjax._jax import sizes
 from rvjax._jax.kernels import settle
-from rvjax.commands import speak
+from rvjax.commands import console
 from rvjax.mesh_force.equilibrium import equilibrium
 from rvjax.mesh_force.geometry import Case
 from rvjax.population import Population, Tolerance
@@ -159,21 +159,21 @@ def test_many_units_go_to_a_gpu_unless_a_platform_is_named(monkeypatch, named, t
     before = jax.local_devices
     monkeypatch.setenv("JAX_PLATFORMS", named or "")
     monkeypatch.setattr(jax, "local_devices", local)
-    with speak.units_placed(lambda: seconds) as device:
+    with console.units_placed(lambda: seconds) as device:
         assert device == due and units_devices() == (there if due.startswith("H100") else before())
     assert units_devices() == before()
 
 
 def test_only_commands_with_many_units_may_start_a_gpu(monkeypatch):
-    monkeypatch.setattr(speak, "find_spec", lambda _: "installed")
-    assert speak.may_use_gpu("montecarlo", 1) and speak.may_use_gpu("allocate", 1)
-    assert not speak.may_use_gpu("check", 1) and not speak.may_use_gpu("montecarlo", 3)
-    monkeypatch.setattr(speak, "find_spec", lambda _: None)
-    assert not speak.may_use_gpu("montecarlo", 1)
+    monkeypatch.setattr(console, "find_spec", lambda _: "installed")
+    assert console.may_use_gpu("montecarlo", 1) and console.may_use_gpu("allocate", 1)
+    assert not console.may_use_gpu("check", 1) and not console.may_use_gpu("montecarlo", 3)
+    monkeypatch.setattr(console, "find_spec", lambda _: None)
+    assert not console.may_use_gpu("montecarlo", 1)
 
 
 @pytest.mark.parametrize(("there", "due"), [("cpu", ""), ("gpu", "rvjax: units on the H100\n")])
 def test_a_command_says_where_units_are_if_there_is_a_choice(monkeypatch, capsys, there, due):
     monkeypatch.setattr(jax, "local_devices", lambda: [SimpleNamespace(platform=there)])
-    speak.tell("the H100")
+    console.tell("the H100")
     assert capsys.readouterr().err == due

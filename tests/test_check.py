@@ -6,15 +6,15 @@ import os
 import sys
 import tomllib
 from importlib import resources
+from types import SimpleNamespace
 
 import pytest
 
 from rvjax import catalogue, cli, designs, study
 from rvjax._reducer import plausible
-from rvjax.commands import module
-from rvjax.commands.allocate import expected
-from rvjax.commands.forecast import forewarn
-from rvjax.commands.init.compute import written
+from rvjax.commands import check
+from rvjax.commands.forecast import expected, forewarn
+from rvjax.commands.init import written
 from rvjax.study.doubts import doubts
 from rvjax.units import mm
 
@@ -230,8 +230,8 @@ def test_what_is_assumed_is_named_until_it_is_given():
     kinematic = study.KINDS[designs.RVReducer].starts["four-bar"].parts
     due = [name for name in catalogue.assumed("rv-80e") if name.split(".")[0] in kinematic]
     assert sorted(marked) == sorted(due + modified)  # the file marks them
-    inputs = module("check", "inputs").Inputs(asked(DESIGN, DESIGN), None)
-    text = module("check", "report").report(inputs, module("check", "compute").compute(inputs)).text()
+    inputs = SimpleNamespace(study=asked(DESIGN, DESIGN), picture=None, source="")
+    text = check.report(inputs, check.compute(inputs)).text()
     assumed = next(line for line in text.splitlines() if line.startswith("Assumed"))
     assert all(f" {name}" in assumed for name in ("involute.pressure_angle", "cycloid.disc_count"))
 

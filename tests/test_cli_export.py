@@ -14,7 +14,7 @@ import pytest
 
 import rvjax
 from rvjax import cli, running, study
-from rvjax.commands.export import compute
+from rvjax.commands import export
 from rvjax.status import SolveInfo
 from rvjax.units import arcmin
 
@@ -149,7 +149,7 @@ def units(folder, monkeypatch):
         numbers = {name: np.where(each < failed, np.nan, each) for name in running.units(running.Joint)}
         numbers |= dict(damping=None, rotor_inertia=None, output_inertia=None)
         joint = jax.vmap(lambda numbers, info: running.Joint(**numbers, info=info))(numbers, info)
-        monkeypatch.setattr(compute, "_of_units", lambda *_: joint)
+        monkeypatch.setattr(export, "_of_units", lambda *_: joint)
         return cli.main(["export", "drive.toml", "a.json", "--unit", unit, "--samples", "100", "--quiet"])
 
     return SimpleNamespace(run=run, file=folder / "a.json")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from rvjax import cli, study
-from rvjax.commands import speak as processors
+from rvjax.commands import console
 from rvjax.commands.montecarlo import batch
 from rvjax.tolerances import load, monte_carlo, origin
 
@@ -137,13 +137,13 @@ def test_an_interrupted_batch_says_how_to_go_on(here, capsys, monkeypatch):
 def test_each_core_is_a_device_unless_told_otherwise(monkeypatch, cores, processes, devices):
     told = {}
     monkeypatch.setattr(jax.config, "update", told.__setitem__)
-    monkeypatch.setattr(processors.os, "sched_getaffinity", lambda _: set(range(cores)), raising=False)
+    monkeypatch.setattr(console.os, "sched_getaffinity", lambda _: set(range(cores)), raising=False)
     monkeypatch.delenv("JAX_NUM_CPU_DEVICES")
-    processors.share_cores(processes)
+    console.share_cores(processes)
     assert told == {"jax_num_cpu_devices": devices}
     for name, value in (("JAX_NUM_CPU_DEVICES", "1"), ("XLA_FLAGS", "--xla_force_host_platform_device_count=2")):
         with monkeypatch.context() as patch:
             patch.setenv(name, value)
             told.clear()
-            processors.share_cores(processes)
+            console.share_cores(processes)
             assert not told

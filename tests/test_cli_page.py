@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import subprocess
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,11 +18,12 @@ from cli_study import PICTURES, SMALL, UNITS
 import rvjax
 import rvjax.commands.allocate.answer
 from rvjax import cli, study
+from rvjax.commands import report as command
 from rvjax.commands.allocate import report_on, requirement_table
-from rvjax.commands.allocate.forecast import targets
-from rvjax.commands.cells import met_text
-from rvjax.commands.report import Shown, compute, inputs, live, page_of
+from rvjax.commands.forecast import targets
+from rvjax.commands.report import ReportInputs, Shown, page_of, sliders
 from rvjax.commands.report.worst_units import WorstUnit, rows_of, worst_units
+from rvjax.commands.sections.cells import met_text
 from rvjax.population.sample_statistics import CentralMoments, Sampled
 from rvjax.render import write_files
 from rvjax.study.study import About
@@ -137,22 +139,21 @@ def test_the_page_of_a_stored_answer_computes_no_answer_and_makes_no_folder(
 
 def test_a_costly_study_has_sliders_on_demand(here, answers, monkeypatch):
     """They take minutes, and their estimate is poor: the page is there at once without them."""
-    given = dict(output="page.html", fresh=False, quiet=True)
     asked = {
-        (name, sliders): inputs.inputs(SimpleNamespace(study=name, sliders=sliders, **given))
+        (name, sliders): ReportInputs(source=name, sliders=sliders, output=Path("page.html"), quiet=True)
         for name, sliders in (("rv-40e-whole", False), ("rv-40e-whole", True), ("corr", False))
     }
     assert [each.sliders for each in asked.values()] == [False, True, True]
-    monkeypatch.setattr(compute, "_sections", lambda *_: (None, None, None))
-    monkeypatch.setattr(compute.behind, "surrogate", lambda _: pytest.fail("sliders are computed"))
-    one = dataclasses.replace(asked["corr", False], study=answers[SMALL].study, answer=answers[SMALL], sliders=False)
-    found = compute.compute(one)
-    assert found.surrogate is None and compute.phases(one)[1:] == ("sections of the page", "the page")
-    assert "rvjax report x.toml --sliders adds" in live.without("x.toml").content[0].text
+    monkeypatch.setattr(command.response_surface, "surrogate", lambda _: pytest.fail("sliders are computed"))
+    one = asked["corr", False]
+    one.study, one.answer, one.sliders = answers[SMALL].study, answers[SMALL], False
+    found = command.compute(one)
+    assert found.surrogate is None and command.phases(one)[1:] == ("sections of the page", "the page")
+    assert "rvjax report x.toml --sliders adds" in sliders.without("x.toml").content[0].text
     for written in (True, False):  # a page with sliders shows what one without them does
-        (here / "page.html").write_bytes(b"<html>" + inputs.mark(b"result", "x.toml", written))
-        (here / inputs.FILE).write_bytes(b"result")
-        assert [inputs.shows(here / "page.html", here, "x.toml", own) for own in (True, False)] == [written, True]
+        (here / "page.html").write_bytes(b"<html>" + command.mark(b"result", "x.toml", written))
+        (here / command.FILE).write_bytes(b"result")
+        assert [command.shows(here / "page.html", here, "x.toml", own) for own in (True, False)] == [written, True]
 
 
 def test_a_new_answer_and_its_page_share_a_folder(answers, undrawn, here, capsys):

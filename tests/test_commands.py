@@ -1,4 +1,4 @@
-"""A new command is one package and one line: its table of study files, output table, plot, page, help and options."""
+"""A new command is one module and one line: its table of study files, output table, plot, page, help and options."""
 
 import csv
 import json
@@ -7,26 +7,22 @@ import pytest
 
 from rvjax import cli, commands, study
 
-PACKAGE = {
-    "__init__.py": "",
-    "command.toml": """
-help = "how many parts a reducer has"
-description = "Count parts."
-table = "parts"
-[options]
-study = { metavar = "STUDY", help = "a study file" }
---results = { metavar = "DIR", help = "new folder" }
-""",
-    "inputs.py": """
-import dataclasses
-from pathlib import Path
+MODULE = """
+from dataclasses import dataclass
 from rvjax import study
-from rvjax.render import results_folder
+from rvjax.commands.console import READING, WRITING
+from rvjax.commands.inputs import Inputs, results_option, study_argument
+from rvjax.render import Figure, Interval, Note, Number, Quantity, Report, Table, Text, results_folder
 
-@dataclasses.dataclass
-class Inputs:
-    study: study.Study
-    folder: Path
+@dataclass(kw_only=True)
+class PartsInputs(Inputs):
+    '''Count parts.'''
+    source: str = study_argument()
+    results: str | None = results_option("STUDY-parts")
+
+    def __post_init__(self):
+        self.study = study.load(self.source, solve=False)
+        self.folder = results_folder(self.results, self.study.name + "-parts")
 
 def section(table, question):
     unknown = set(table) - {"spare"}
@@ -34,25 +30,15 @@ def section(table, question):
         raise ValueError(f"unknown key parts.{min(unknown)}")
     return study.quantity(table["spare"], "m", "parts.spare")
 
-def inputs(options):
-    question = study.load(options.study, solve=False)
-    return Inputs(question, results_folder(options.results, question.name + "-parts"))
-""",
-    "compute.py": """
-from rvjax.commands import READING, WRITING
-
-def phases(asked):
+def phases(inputs):
     return {READING: 0.0, WRITING: 0.0}
 
-def compute(asked):
-    design = asked.study.design
-    spare = asked.study.sections["parts"]
+def compute(inputs):
+    design = inputs.study.design
+    spare = inputs.study.sections["parts"]
     return {"pins < 50 & more": (design.cycloid.pin_count, spare), "cranks": (design.cranks.count, None)}
-""",
-    "report.py": """
-from rvjax.render import Figure, Interval, Note, Number, Quantity, Report, Table, Text
 
-def report(asked, found):
+def report(inputs, found):
     rows = [[name, n, size, None if size is None else Quantity(size, "m", 0.5 * size, 2 * size)]
             for name, (n, size) in found.items()]
     columns = [Text("part"), Text("count"), Number("spare [um]", unit="m"), Interval("range", form=".1f")]
@@ -63,11 +49,10 @@ def report(asked, found):
         axes.bar(list(found), [n for n, _ in found.values()])
         return axes
 
-    return Report("parts", (Note("Parts of " + asked.study.name), Table("parts", columns, rows),
+    return Report("parts", (Note("Parts of " + inputs.study.name), Table("parts", columns, rows),
                             Figure("bars", "Parts", draw)),
                   data={"count": {name: n for name, (n, _) in found.items()}}, page="")
-""",
-}
+"""
 STUDY = """
 [design]
 base = "rv-40e"
@@ -82,18 +67,18 @@ spare = "3.5 um"
 
 @pytest.fixture
 def parts(tmp_path, monkeypatch):
-    """The fake command, added as a new one is: a package, and a line in COMMANDS."""
-    (tmp_path / "more" / "parts").mkdir(parents=True)
-    for name, content in PACKAGE.items():
-        (tmp_path / "more" / "parts" / name).write_text(content)
+    """The fake command, added as a new one is: a module, a line in COMMANDS, and one in TABLES for its table."""
+    (tmp_path / "more").mkdir()
+    (tmp_path / "more" / "parts.py").write_text(MODULE)
     monkeypatch.setattr(commands, "__path__", [*commands.__path__, str(tmp_path / "more")])
-    monkeypatch.setattr(commands, "COMMANDS", [*commands.COMMANDS, "parts"])
+    monkeypatch.setitem(commands.COMMANDS, "parts", "how many parts a reducer has")
+    monkeypatch.setitem(commands.TABLES, "parts", "parts")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my.toml").write_text(STUDY)
     return tmp_path
 
 
-def test_a_new_command_is_one_package_and_one_line(parts, capsys):
+def test_a_new_command_is_one_module_and_one_line(parts, capsys):
     assert cli.main(["--help"]) == 0
     assert "how many parts a reducer has" in capsys.readouterr().out
     assert cli.main(["parts", "my.toml"]) == 0

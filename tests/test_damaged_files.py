@@ -203,7 +203,7 @@ def test_a_signal_ends_a_batch_in_order(tmp_path, number, code):
         "batch.run = run\n"
         "study = {'doubts': [], 'accuracy': {}, 'certificate_samples': 1}\n"
         "batch.study_of = lambda *_: type('Question', (), study)()\n"
-        "sys.modules['rvjax.commands.montecarlo.compute'].unit_seconds = lambda study: None\n"
+        "sys.modules['rvjax.commands.montecarlo'].unit_seconds = lambda study: None\n"
         "sys.exit(cli.main(['montecarlo', 's.toml', '--checkpoint', 'c']))"
     )
     started = subprocess.Popen(

@@ -6,12 +6,11 @@ from types import SimpleNamespace
 import pytest
 
 from rvjax import study
-from rvjax.commands.cells import binding
-from rvjax.commands.design import compute
-from rvjax.commands.design.compute import Designed, Point
-from rvjax.commands.design.figures import figures
+from rvjax.commands.design import figures, optimum as command
+from rvjax.commands.design.optimum import Designed, Point
 from rvjax.commands.design.prices import limit_price, multiplier, nominal_limit
-from rvjax.commands.design.report import numbers, others, saved_part, starts_text
+from rvjax.commands.design.tables import numbers, others, saved_part, starts_text
+from rvjax.commands.sections.cells import binding
 from rvjax.outputs import Output
 from rvjax.tolerances import Nominal
 from rvjax.units import mm, um
@@ -87,8 +86,8 @@ def test_points_that_are_not_certified_are_hollow_and_named(status):
 )
 def test_a_cheaper_point_of_the_front_is_another_start(monkeypatch, front, again, due):
     """The least cost is at most that of any certified point, at the prices of the study (4 for 2 kg)."""
-    monkeypatch.setattr(compute, "_optimum", lambda *given, **named: again)
-    assert compute._cheaper(SimpleNamespace(study=PRICED), optimum(10.0), [front], None).found.cost == due
+    monkeypatch.setattr(command, "_optimum", lambda *given, **named: again)
+    assert command._cheaper(SimpleNamespace(study=PRICED), optimum(10.0), [front], None).found.cost == due
 
 
 def test_a_price_that_no_search_found_is_unknown():

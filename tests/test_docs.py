@@ -22,7 +22,7 @@ from matplotlib.path import Path as Outline
 
 from benchmarks import tables
 from rvjax import catalogue, cli, models, published, study
-from rvjax.commands.init.compute import written
+from rvjax.commands.init import written
 from rvjax.designs import RVReducer
 from rvjax.plotting import drawings, drive
 from rvjax.units import mm, um

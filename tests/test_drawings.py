@@ -16,11 +16,9 @@ from live_study import in_node
 from rvjax import study
 from rvjax.commands import compare
 from rvjax.commands.allocate import answer as computed, report_on
-from rvjax.commands.cells import limits_of
-from rvjax.commands.compare.inputs import Inputs
-from rvjax.commands.compare.report import report as compared
-from rvjax.commands.design import live as design_live, prices as design_prices
-from rvjax.commands.report import live, surrogate
+from rvjax.commands.design import prices as design_prices, sliders as design_live
+from rvjax.commands.report import response_surface, sliders as page_sliders
+from rvjax.commands.sections.cells import limits_of
 from rvjax.render import Limits
 from rvjax.study import rewrite
 from rvjax.study.tolerances import FORMS, forms
@@ -169,8 +167,9 @@ def test_two_results_are_compared_in_the_words_of_the_drawing(answer, tmp_path):
         for end in ("lower", "upper", "drawing"):
             data["tolerances"]["disc_centre"]["after"][end] *= factor
         paths[letter], results[letter] = letter, data
-    found = compare.compute.compute(Inputs(paths, results))
-    text = compared(Inputs(paths, results), found).text()
+    inputs = SimpleNamespace(paths=paths, results=results, study=None, answers={})
+    found = compare.compute(inputs)
+    text = compare.report(inputs, found).text()
     runout = 4 * float(answer.allocation.tolerances.disc_centre.half_width) / um
     assert re.search(rf"^disc_centre, runout +{runout:.4g} um +{runout / 2:.4g} um +-50.0 %$", text, re.M)
     assert "disc_centre, half-width" not in text and "disc_centre, middle" not in text
@@ -180,9 +179,9 @@ def test_two_results_are_compared_in_the_words_of_the_drawing(answer, tmp_path):
 
 @pytest.fixture(scope="module")
 def sliders(answer):
-    made = surrogate.surrogate(answer, points=1, fresh=1024, chunk=1024)
+    made = response_surface.surrogate(answer, points=1, fresh=1024, chunk=1024)
     assert made is not None
-    return made, live.data(made, answer)
+    return made, page_sliders.data(made, answer)
 
 
 def test_sliders_have_the_numbers_of_the_drawing(answer, sliders):
@@ -247,4 +246,4 @@ def test_sliders_and_prices_of_a_design_are_those_of_the_drawing(asked):
     }
     (field,) = design_live.data(asked, found)["fields"]
     assert field["cost"] == {"fixed": 0.0, "scale": 2.0, "reference": pytest.approx(20.0), "power": 1.0}
-    assert "1 um of the runout of disc_centre: 0.625" in design_prices.prices(asked, found).text
+    assert "1 um of the runout of disc_centre: 0.625" in design_prices.price_note(asked, found).text

@@ -3,9 +3,17 @@
 import pytest
 
 from rvjax import levels, study
-from rvjax.commands.allocate import answer, expected, phases_of
-from rvjax.commands.allocate.forecast import CERTIFYING, PRICING, SAMPLING, SEARCHING, solved_units
-from rvjax.commands.forecast import unit_seconds
+from rvjax.commands.allocate import answer
+from rvjax.commands.forecast import (
+    CERTIFYING,
+    PRICING,
+    SAMPLING,
+    SEARCHING,
+    expected,
+    phases_of,
+    solved_units,
+    unit_seconds,
+)
 from rvjax.levels.choice import equilibrium_times
 
 WHOLE = study.load("rv-40e-whole", solve=False).text

@@ -145,7 +145,7 @@ def test_only_a_package_that_is_missing_is_told_as_bad_input(monkeypatch, tmp_pa
     def broken(*_):
         raise ImportError("cannot import name 'gone' from 'rvjax.report'")
 
-    monkeypatch.setattr("rvjax.commands.check.compute.compute", broken)
+    monkeypatch.setattr("rvjax.commands.check.compute", broken)
     with pytest.raises(ImportError, match="cannot import name 'gone'"):
         cli.main(["check", "corr"])
     (tmp_path / "broken_package.py").write_text("import no_such_package\n")

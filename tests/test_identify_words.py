@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from rvjax import catalogue
-from rvjax.commands.identify.compute import Identified
 from rvjax.commands.identify.figures import _elements
+from rvjax.commands.identify.identified import Identified
 from rvjax.commands.identify.words import combinations, doubts
 from rvjax.identify import Direction
 from rvjax.identify.elements import Elements

@@ -11,7 +11,7 @@ import pytest
 from rvjax import catalogue, cli, study
 from rvjax._reducer import plausible
 from rvjax.commands.allocate import shortfalls
-from rvjax.commands.init.compute import written
+from rvjax.commands.init import written
 from rvjax.life import dynamic_rating, static_rating
 from rvjax.study.kinds import changed, number_at
 from rvjax.study.kinds.rv.facts import LAWS

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rvjax import catalogue, cli, published
-from rvjax.commands.reproduce.report import report_on
+from rvjax.commands.reproduce import report_on
 from rvjax.published import rv160
 from rvjax.units import arcmin, mm, parse
 

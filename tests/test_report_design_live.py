@@ -14,8 +14,8 @@ import pytest
 from cli_study import one_start
 
 from rvjax import study
-from rvjax.commands.design import live
-from rvjax.commands.design.compute import Designed, Point
+from rvjax.commands.design import sliders
+from rvjax.commands.design.optimum import Designed, Point
 from rvjax.tolerances import allocate
 
 STUDY = """
@@ -60,7 +60,7 @@ def page():
         )  # fmt: skip
     outputs = {n: float(v) for n, v in made.nominal_response()(made.design.error_record(), found.values).value.items()}
     point = Point(found, made.design_with(found.values), outputs)
-    return made, found, live.data(made, Designed(point, outputs, None, {}, None, [], []))
+    return made, found, sliders.data(made, Designed(point, outputs, None, {}, None, [], []))
 
 
 def predicted(at):

@@ -18,9 +18,9 @@ from live_study import PLAY, in_node, played
 
 import rvjax
 from rvjax import study, tolerances
-from rvjax.commands.allocate import kept, whole
-from rvjax.commands.allocate.report import report_on
-from rvjax.commands.report import Shown, live, page_of, surrogate
+from rvjax.commands.allocate import full_model_check, stored_result
+from rvjax.commands.allocate.tables import report_on
+from rvjax.commands.report import Shown, page_of, response_surface, sliders
 from rvjax.render import Report
 from rvjax.study import rewrite
 
@@ -32,10 +32,10 @@ def answered():
 
 def test_the_page_carries_numbers_of_its_own(answered):
     found, made = answered
-    numbers = live.data(made, found)
+    numbers = sliders.data(made, found)
     assert len(json.dumps(numbers)) < 1.5e6
     columns = sum(len(response["columns"]) for response in numbers["responses"])
-    assert columns * surrogate.UNITS < 1e6  # products for one move of a slider: a millisecond or two
+    assert columns * response_surface.UNITS < 1e6  # products for one move of a slider: a millisecond or two
     fields = {field["name"]: field for field in numbers["fields"]}
     assert fields["bearing_clearance"]["nonnegative"] and not fields["pin_radius"]["nonnegative"]
     assert fields["pin_hole_clearance"]["grows"] and fields["pin_hole_clearance"]["stands"] == 0
@@ -45,16 +45,16 @@ def test_the_page_carries_numbers_of_its_own(answered):
     (response,) = numbers["responses"]
     assert response["floor"] is None and made.base["lost_motion"].min() < 0
     raised = dataclasses.replace(made, base={"lost_motion": np.abs(made.base["lost_motion"])})
-    assert live.data(raised, found)["responses"][0]["floor"] is None  # its lower limit is below zero
+    assert sliders.data(raised, found)["responses"][0]["floor"] is None  # its lower limit is below zero
     above = dataclasses.replace(found.study, requirements={"lost_motion": rvjax.tolerances.Requirement(upper=1.0)})
-    (response,) = live.data(raised, dataclasses.replace(found, study=above))["responses"]
+    (response,) = sliders.data(raised, dataclasses.replace(found, study=above))["responses"]
     assert response["floor"] == 0.0
     name = "shift_modification"
     where = numbers["parameters"][fields[name]["place"]]
     assert (where["low"], where["high"]) == pytest.approx((-6, 6))
     assert f"{100 * made.error('yield'):.2g} %" in numbers["error"]
     hostile = dataclasses.replace(found, study=dataclasses.replace(found.study, name="</script><script>alert(1)"))
-    assert live.script(made, hostile).count("<") == live.script(made, found).count("<")
+    assert sliders.script(made, hostile).count("<") == sliders.script(made, found).count("<")
 
 
 def test_a_change_that_rounds_to_nothing_has_no_sign():
@@ -101,7 +101,7 @@ const found = Live.all(data, at);
 def test_javascript_computes_what_python_does(answered):
     """16-bit columns: each value within 1/65534 of the largest of its column; weights in 32 bits."""
     found, made = answered
-    numbers = live.data(made, found)
+    numbers = sliders.data(made, found)
     shown = {name: (1e6 * half, 1e6 * place) for name, (half, place) in AT.items()}
     tell = "return {y: Array.from(found.y[0]), x: found.x, figures: found.figures[0], cost: found.cost, "
     tell += "shares: found.shares[0], joint: found.joint, outside: found.outside.map((p) => p.label)};"
@@ -141,7 +141,7 @@ def test_as_allocated_the_page_says_what_the_certificate_says(answered):
     seen = in_node(
         "const data = Live.opened(input[0]), all = Live.all(data, Live.begin(data, 'centre'));"
         "return {figures: all.figures[0], cost: all.cost, far: all.outside.length};",
-        live.data(made, found),
+        sliders.data(made, found),
     )
     allocation = found.allocation
     assert seen["figures"]["yield"] == pytest.approx(allocation.certificate.yield_["lost_motion"].value, abs=1e-6)
@@ -153,13 +153,13 @@ def test_as_allocated_the_page_says_what_the_certificate_says(answered):
 def test_the_study_that_the_page_writes_is_the_one_it_shows(answered):
     found, made = answered
     shown = {name: (1e6 * half, 1e6 * place) for name, (half, place) in AT.items()}
-    numbers = live.data(made, found)
+    numbers = sliders.data(made, found)
     text = in_node(MOVE + "return Live.study(data, at);", numbers, shown, {"upper": 0.8})
     again = study.parse_study(text, name="again", solve=False)
     for name, (half, place) in AT.items():
         t = getattr(again.tolerances, name)
         assert float(t.half_width) == pytest.approx(half)
-        assert surrogate.placed(t) == pytest.approx(place)
+        assert response_surface.placed(t) == pytest.approx(place)
     requirement = again.requirements["lost_motion"]
     assert (requirement.lower, requirement.upper) == pytest.approx(
         (-1.5 * rvjax.units.arcmin, 0.8 * rvjax.units.arcmin)
@@ -296,22 +296,22 @@ def test_without_scripts_nothing_of_it_is_seen(answered):
     found, made = answered
     without = page_of(Shown(found), "play.toml")
     assert "<script" not in without and "What if" not in without
-    with_sliders = Report("x", (live.block(made, found),)).html()
+    with_sliders = Report("x", (sliders.block(made, found),)).html()
     assert re.search(r'<section id="live"[^>]* hidden>', with_sliders)
 
 
 def test_the_line_on_the_whole_reducer_is_stored_with_its_result(answered, tmp_path):
     answer, _ = answered
     share = tolerances.Estimate(0.91, 0.015, 0.88, 0.94)
-    line = whole.Whole(
+    line = full_model_check.Whole(
         share, 512, {"lost_motion": 0.91}, {"lost_motion": 1e-4}, {"lost_motion": "bench_lost_motion"}, 2, ()
     )
-    beyond = whole.Unlimited(1455e6, share, -np.inf, 2800e6, share, "static safety 2", 512, 0)
+    beyond = full_model_check.Unlimited(1455e6, share, -np.inf, 2800e6, share, "static safety 2", 512, 0)
     told = dataclasses.replace(answer, whole=line, unlimited={"turn_pin_pressure": beyond})
-    (tmp_path / kept.FILE).write_bytes(kept.stored(told))
-    loaded = tolerances.load(tmp_path / kept.FILE)
-    assert whole.Whole(**loaded["whole"]) == line
-    assert whole.Unlimited(**loaded["unlimited"]["turn_pin_pressure"]) == beyond
+    (tmp_path / stored_result.FILE).write_bytes(stored_result.stored(told))
+    loaded = tolerances.load(tmp_path / stored_result.FILE)
+    assert full_model_check.Whole(**loaded["whole"]) == line
+    assert full_model_check.Unlimited(**loaded["unlimited"]["turn_pin_pressure"]) == beyond
     report = report_on(told)
     assert "9 % of the units miss a usual limit, <= 2800 MPa (static safety 2)" in report.text()
     page = page_of(Shown(told), "play.toml")

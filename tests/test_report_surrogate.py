@@ -10,8 +10,8 @@ from live_study import FEW
 
 import rvjax
 from rvjax import tolerances
-from rvjax.commands.allocate.forecast import SHOWN_VALUES
-from rvjax.commands.report import live, region, surrogate
+from rvjax.commands.forecast import SHOWN_VALUES
+from rvjax.commands.report import region, response_surface, sliders
 from rvjax.response import solving
 from rvjax.response.response import BLOCK
 
@@ -62,7 +62,7 @@ def bent(errors):
 @pytest.fixture(scope="module")
 def of_linear():
     question = made(linear, 14e-6)
-    return question, surrogate.surrogate(question, **FEW)
+    return question, response_surface.surrogate(question, **FEW)
 
 
 def direct(found, response):
@@ -98,7 +98,7 @@ def test_a_linear_response_is_met_exactly(of_linear):
 def test_a_quadratic_response_is_met_to_what_is_left_out():
     """Half-widths and places enter a product of errors bilinearly: bends between all; each column left out moves the
     response by less than 0.2 % of its spread (root mean square), of the 21 at most."""
-    found = surrogate.surrogate(made(bent, 6.0), **FEW)
+    found = response_surface.surrogate(made(bent, 6.0), **FEW)
     assert any(key[0] != key[-1] for key in found.columns["y"])
     values = direct(found, bent)
     miss = np.sqrt(np.mean((found.values("y", X) - values) ** 2))
@@ -117,23 +117,27 @@ def test_weights_give_the_figures_of_the_certificate(of_linear):
     # Elsewhere: fresh units and a thinned sample, of which half is drawn evenly: five standard errors of both.
     for check in found.checks:
         ours, true = check.figures["y"]["yield"]
-        assert abs(ours - true) < 5 * np.sqrt(true * (1 - true) * (1 / FEW["fresh"] + 2 / surrogate.UNITS)) + 1e-4
+        assert (
+            abs(ours - true) < 5 * np.sqrt(true * (1 - true) * (1 / FEW["fresh"] + 2 / response_surface.UNITS)) + 1e-4
+        )
     assert len(found.checks) == FEW["points"] + 1
 
 
 def test_the_thinned_sample_keeps_the_tails():
     """Horvitz and Thompson: the share beyond a point is unbiased, its variance sum (1 - chance)/chance over those."""
     values = np.random.default_rng(0).normal(size=(2, SHOWN_VALUES))
-    chance = surrogate._chances(values, surrogate.UNITS)
-    assert chance.sum() == pytest.approx(surrogate.UNITS, rel=1e-9)
+    chance = response_surface._chances(values, response_surface.UNITS)
+    assert chance.sum() == pytest.approx(response_surface.UNITS, rel=1e-9)
     for row in values:
         assert chance[np.argsort(row)[[*range(20), *range(-20, 0)]]].min() == 1.0
         beyond = row > np.quantile(row, 0.9973)
         spread = np.sqrt(np.sum((1 - chance[beyond]) / chance[beyond]))
-        assert spread < 0.5 * np.sqrt(beyond.sum() / surrogate.UNITS * SHOWN_VALUES)  # half of plain thinning's
-        kept = [surrogate._thinned(chance, surrogate.UNITS, np.random.default_rng(seed)) for seed in range(10)]
+        assert spread < 0.5 * np.sqrt(beyond.sum() / response_surface.UNITS * SHOWN_VALUES)  # half of plain thinning's
+        kept = [
+            response_surface._thinned(chance, response_surface.UNITS, np.random.default_rng(seed)) for seed in range(10)
+        ]
         guesses = np.array([np.sum(beyond[k] / chance[k]) for k in kept])
-        assert len(set(kept[0])) == surrogate.UNITS
+        assert len(set(kept[0])) == response_surface.UNITS
         assert abs(guesses.mean() - beyond.sum()) < 5 * spread / np.sqrt(len(guesses))
         assert np.abs(guesses - beyond.sum()).max() < 5 * spread
 
@@ -144,7 +148,7 @@ def test_units_that_fail_at_one_end_go_on_from_the_other():
         return {"y": jnp.where(y > 15e-6, jnp.nan, y)}
 
     question = made(failing, 12e-6)
-    found = surrogate.surrogate(question, **FEW)
+    found = response_surface.surrogate(question, **FEW)
     assert all(np.isfinite(c).all() for c in found.columns["y"].values())
     failed = question.allocation.certificate.failed / question.allocation.certificate.samples
     assert found.failed == failed > 0
@@ -152,7 +156,7 @@ def test_units_that_fail_at_one_end_go_on_from_the_other():
     assert here["yield"] == pytest.approx(question.allocation.certificate.yield_["y"].value, abs=1e-12)
     nothing = SimpleNamespace(**vars(question) | {"after": SimpleNamespace(
         tolerances=question.after.tolerances, values={"y": np.full(UNITS, np.nan)}, seed=2)})  # fmt: skip
-    assert surrogate.surrogate(nothing) is None
+    assert response_surface.surrogate(nothing) is None
 
 
 def costly_linear(errors):
@@ -169,7 +173,7 @@ costly_linear.costly = costly_bent.costly = True  # type: ignore[attr-defined]
 
 
 def test_a_costly_linear_response_is_met_by_the_derivatives_alone():
-    found = surrogate.surrogate(made(costly_linear, 14e-6), **FEW)
+    found = response_surface.surrogate(made(costly_linear, 14e-6), **FEW)
     assert len(found.weights) == region.COSTLY_UNITS and found.compared == "own"
     assert set(found.columns["y"]) == {(k,) for k in range(6)}
     values = direct(found, linear)
@@ -185,9 +189,9 @@ def test_costly_units_are_solved_once_for_all_outputs(monkeypatch):
     both.costly = True
     given = made(both, 6.0, z=14e-6)
     solved.clear()
-    found = surrogate.surrogate(given, **FEW)
-    assert solved == [region.COSTLY_UNITS] * (2 + region.PLACES) + [surrogate.COMPARED] * FEW["points"]
-    alone = surrogate.surrogate(made(costly_linear, 14e-6), **FEW)
+    found = response_surface.surrogate(given, **FEW)
+    assert solved == [region.COSTLY_UNITS] * (2 + region.PLACES) + [response_surface.COMPARED] * FEW["points"]
+    alone = response_surface.surrogate(made(costly_linear, 14e-6), **FEW)
     for k, parameter in enumerate(found.parameters):
         if parameter.place:  # the derivatives of two outputs stay apart
             assert found.columns["z"][k,].mean() == pytest.approx(alone.columns["y"][k,].mean(), rel=1e-6)
@@ -195,7 +199,7 @@ def test_costly_units_are_solved_once_for_all_outputs(monkeypatch):
 
 def test_bends_that_all_units_share_are_found_at_random_places():
     """z = m + h u has the square m^2 + 2 m h u + h^2 u^2: the first is a bend of the mid-point that all units share."""
-    found = surrogate.surrogate(made(costly_bent, 6.0), **FEW)
+    found = response_surface.surrogate(made(costly_bent, 6.0), **FEW)
     (place,) = (k for k, p in enumerate(found.parameters) if p.field == "carrier_bore" and p.place)
     reach = 1e6 * found.parameters[place].reach
     # The products 2 m h u act as noise on it, of which 768 units at three places leave a twentieth
@@ -224,6 +228,6 @@ def test_a_failed_unit_does_not_change_the_regression_of_the_others():
 )
 def test_the_error_of_the_sliders_is_said_in_plain_numbers(mean, sd, said):
     figures = {"yield": (0.9, 0.9), "mean": (mean, 0.0), "sd": (1 + sd, 1.0)}
-    check = surrogate.Check("a point", {"y": figures})
-    found = surrogate.Surrogate((), np.ones(1), {}, {}, 0.0, checks=(check,))
-    assert live.error_text(found).startswith(f"largest errors at 1 points: yield 0 % of the units, {said}")
+    check = response_surface.Check("a point", {"y": figures})
+    found = response_surface.Surrogate((), np.ones(1), {}, {}, 0.0, checks=(check,))
+    assert sliders.error_text(found).startswith(f"largest errors at 1 points: yield 0 % of the units, {said}")

@@ -16,7 +16,7 @@ import pytest
 from rvjax import Friction, RVErrors, models, running, study
 from rvjax.catalogue import CYCLOIDAL_17, RV_40E
 from rvjax.commands.report import friction as page
-from rvjax.commands.report.losses import BAND, SPEEDS, TORQUES, UnitLosses
+from rvjax.commands.report.friction import BAND, SPEEDS, TORQUES, UnitLosses
 from rvjax.loaded import MACHINE, unchecked
 from rvjax.render import Report
 from rvjax.running import outputs

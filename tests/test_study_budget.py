@@ -17,7 +17,7 @@ import pytest
 
 from rvjax import RVErrors, cli, four_bar, plotting, study
 from rvjax.base import progress
-from rvjax.commands.budget import compute as budget, effects, error_budget, regression, report_on, scalar, section_on
+from rvjax.commands.budget import budgets, effects, error_budget, regression, report_on, section_on, tables
 from rvjax.errors import STAGES
 from rvjax.population import Population, Tolerance, drawn, root_key
 from rvjax.render import Note, Table, write_files
@@ -149,7 +149,7 @@ def test_the_budget_of_a_regression_is_that_of_its_linear_part():
 def test_waves_of_curves_are_their_amplitudes():
     angle = np.arange(16) / 16 * 2 * np.pi
     curves = np.stack([2 + 3 * np.cos(2 * angle - 0.4), np.where(angle > 1, np.nan, angle)])
-    waves = budget.waves_of(curves)
+    waves = budgets.waves_of(curves)
     np.testing.assert_allclose(waves[0], [2, 0, 3 * np.exp(-0.4j), *[0] * 5], atol=1e-12)
     assert np.isnan(waves[1]).all()
 
@@ -243,9 +243,9 @@ def test_which_studies_have_a_budget(question, monkeypatch):
 def test_only_values_of_a_curve_have_its_budget():
     """Others have a budget of their own: in the study of the loaded reducer all read the equilibrium of the curve."""
     loaded, four_bar = (study.load(name, solve=False) for name in ("rv-40e-whole", "rv-40e"))
-    of_curve = [name for name in loaded.requirements if budget.curve_of(loaded, name) is not None]
-    assert of_curve == ["loaded_transmission_error"] and budget.curve_of(loaded, None) is not None
-    assert [name for name in four_bar.requirements if budget.curve_of(four_bar, name)] == ["transmission_error"]
+    of_curve = [name for name in loaded.requirements if budgets.curve_of(loaded, name) is not None]
+    assert of_curve == ["loaded_transmission_error"] and budgets.curve_of(loaded, None) is not None
+    assert [name for name in four_bar.requirements if budgets.curve_of(four_bar, name)] == ["transmission_error"]
 
 
 @pytest.mark.parametrize(
@@ -264,7 +264,7 @@ def test_studies_without_a_budget_raise_an_error(old, new, options, words):
 
 def test_a_response_without_a_curve_has_shares_and_slopes(question):
     """The lost motion is a sum: of each error the variance is that of its elements times the square of the slope."""
-    found = scalar.scalar_budget(question, "lost_motion", samples=512).influence
+    found = budgets.scalar_budget(question, "lost_motion", samples=512).influence
     population = Population.of(question.tolerances)
     for name, tolerance in population.active.items():
         _, variance, *_ = (np.broadcast_to(moment, tolerance.shape) for moment in tolerance.moments())
@@ -282,7 +282,7 @@ def test_slopes_of_a_life_are_hours_per_micrometre():
         dict.fromkeys(fields, part), slopes, slopes, dict.fromkeys(fields, 3600.0**2), dict.fromkeys(fields, 1.0),
         whole, 6000 * 3600.0, 3600.0, 64, 0,
     )  # fmt: skip
-    made = scalar.ScalarBudget("life", found, dict.fromkeys(fields, "disc"))
-    text = scalar.report_on_scalar(made, asked).text()
+    made = budgets.ScalarBudget("life", found, dict.fromkeys(fields, "disc"))
+    text = tables.report_on_scalar(made, asked).text()
     assert "mean 6000 h, standard deviation 1 h" in text and " 250 h/um" in text and "sd h" in text
     assert "5.0 % [2.0, 8.0]" in text and "act together" not in text

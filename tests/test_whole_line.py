@@ -1,4 +1,4 @@
-"""The measured line on the whole reducer: its interval covers the truth, and it is narrower by a good control."""
+"""Units of a result on the whole reducer: the share within all limits, and what a loaded study does not limit."""
 
 import dataclasses
 from types import SimpleNamespace
@@ -6,15 +6,14 @@ from types import SimpleNamespace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.stats import binom
 
 from rvjax import models
-from rvjax.commands.allocate import whole
-from rvjax.commands.allocate.whole import unlimited_tables, unlimited_texts, whole_text
+from rvjax.commands.allocate import full_model_check
+from rvjax.commands.allocate.full_model_check import unlimited_tables, unlimited_texts, whole_text
 from rvjax.population import wilson
 from rvjax.study import load, parse_study
+from rvjax.tolerances import monte_carlo
 
-UNITS, MANY = 256, 1024
 LOADED = """[design]
 base = "rv-320e"
 [design.contact]
@@ -37,67 +36,6 @@ upper = "30 um"
 """
 
 
-def replicates(truth, limit, count, control):
-    """Estimates of the share of units within a limit, from `count` samples of units with 8 errors each."""
-    rng = np.random.default_rng(0)
-    found = []
-    for _ in range(count):
-        errors = rng.standard_normal((8, MANY))
-        values = truth(errors, rng)[:UNITS]
-        given = values if control else rng.standard_normal(UNITS)
-        one = whole.Limited(lambda row: row - limit, given)
-        scores = whole.crossed(errors, [one], np.ones(UNITS, bool))
-        found.append(whole.stratified(values <= limit, *scores, confidence=0.95))
-    return found
-
-
-@pytest.mark.parametrize(("limit", "control"), [(0.5, True), (2.0, True), (3.0, True), (2.0, False)])
-def test_the_interval_covers_the_truth(limit, control):
-    """A nearly linear value, and a control that knows it or is noise; 150 samples of units.
-
-    The number of misses is binomial: a coverage of 94 % or more would give more misses than the bound once in 1000.
-    """
-
-    def truth(errors, rng):
-        return errors[0] + 0.8 * errors[1] + 0.2 * errors[2] ** 2 + 0.2 * rng.standard_normal(errors.shape[1])
-
-    rng = np.random.default_rng(9)
-    share = np.mean(truth(rng.standard_normal((8, 1_000_000)), rng) <= limit)
-    found = replicates(truth, limit, 150, control)
-    misses = sum(not one.lower <= share <= one.upper for one in found)
-    assert misses <= binom.ppf(0.999, 150, 0.06)
-    values = np.array([one.value for one in found])
-    assert abs(values.mean() - share) < 5 * values.std() / np.sqrt(150)  # no bias
-    width = np.mean([one.upper - one.lower for one in found])
-    plain = wilson(round(share * UNITS), UNITS, 0.95)
-    assert width < (0.8 if control and limit < 3 else 1.3) * (plain.upper - plain.lower)
-
-
-def test_failed_units_count_as_rejects_and_strata_without_units_join():
-    good = np.array([True] * 90 + [False] * 10)
-    own = np.where(good, -3.0, 3.0)
-    every = np.concatenate([np.full(60, -3.0), np.full(20, -1.0), np.full(20, 3.0)])[None]
-    found = whole.stratified(good, own, every, confidence=0.95)
-    assert found.value == pytest.approx(0.8)  # -1 joins -3: no unit is solved there
-    assert found.lower < 0.8 < found.upper
-    nothing = whole.stratified(np.zeros(8, bool), np.full(8, -np.inf), np.full((4, 50), -np.inf), confidence=0.95)
-    assert nothing.value == 0 and nothing.upper > 0.2
-
-
-def test_a_curve_predicts_its_peak_to_peak():
-    """A wave whose two amplitudes are linear in the errors: its length is not, its curve is."""
-    rng = np.random.default_rng(1)
-    errors, angle = rng.standard_normal((3, MANY)), np.arange(48) / 48 * 2 * np.pi
-    curves = np.outer(errors[0], np.cos(angle)) + np.outer(errors[1], np.sin(angle))
-    values = np.ptp(curves, axis=1)
-    own = {"values": values[:UNITS], "margin": lambda row: row - 3.0}
-    right = [  # of the units on the side that is predicted
-        np.mean((whole.crossed(errors, [one], np.ones(UNITS, bool))[1][0] > 0) == (values > 3.0))
-        for one in (whole.Limited(**own, curves=curves[:UNITS]), whole.Limited(**own))
-    ]
-    assert right[0] > 0.99 > 0.8 > right[1]
-
-
 @pytest.fixture
 def study():
     return parse_study(LOADED, name="small", solve=False)
@@ -113,14 +51,35 @@ def faked(limit):
 
 
 def test_the_line_names_what_was_measured_and_what_was_not(study, monkeypatch):
-    monkeypatch.setattr(whole, "Response", faked(1.0))
-    found = whole.whole(study, study.tolerances)
+    """Units are those of a Monte Carlo run with the same seed, the interval of their share is that of Wilson."""
+    made = faked(1.0)
+    monkeypatch.setattr(full_model_check, "Response", made)
+    found = full_model_check.whole(study, study.tolerances)
     assert found.output == {"transmission_error": "loaded_transmission_error", "misfit": "misfit"}
-    assert found.unread == ("disc_runout",) and found.units == whole.UNITS and found.failed == 0
-    assert found.share.lower <= found.share.value <= found.share.upper
+    assert found.unread == ("disc_runout",) and found.units == full_model_check.UNITS and found.failed == 0
+    seed, units = study.seed + full_model_check.SEED, found.units
+    again = monte_carlo(made.of(None, (), None), study.tolerances, samples=units, seed=seed, keep=True).values
+    good = {name: np.asarray(study.requirements[name].margin(again[found.output[name]])) <= 0 for name in found.output}
+    assert found.within == {name: row.mean() for name, row in good.items()}
+    assert found.share == wilson(int((good["transmission_error"] & good["misfit"]).sum()), units, 0.95)
+    assert 0 < found.share.value < 1
     text = whole_text(found, study)
     assert text.startswith("On the whole reducer ") and "disc_runout (it has no place)" in text
     assert "loaded_transmission_error" in text and "arcmin" in text
+
+
+def test_a_unit_without_a_value_meets_no_limit(study, monkeypatch):
+    """Half of the units have a positive bore, and no misfit."""
+
+    def response(errors):
+        bore = errors.disc_bore[0, 0, 0]
+        return {"loaded_transmission_error": 0.0 * bore, "misfit": jnp.where(bore > 0, jnp.nan, 0.0)}
+
+    response.costly = True
+    monkeypatch.setattr(full_model_check, "Response", SimpleNamespace(of=lambda *_: response))
+    found = full_model_check.whole(study, study.tolerances)
+    assert 200 < found.failed < 312 and found.share.value == 1 - found.failed / found.units
+    assert set(found.within.values()) == {found.share.value} and "failed" in whole_text(found, study)
 
 
 DUTY = '[[duty]]\noutput_torque = "3136 N m"\noutput_speed = "15 rpm"\ntime = "1 h"\n'
@@ -137,13 +96,16 @@ def loaded_study(*changes):
 def test_what_a_loaded_study_does_not_limit_is_what_its_design_and_conditions_can_give():
     start = "[requirement.misfit]"
     pressure = (start, '[requirement.turn_pin_pressure]\nupper = "3000 MPa"\n' + start)
-    assert set(whole.not_limited(loaded_study()).outputs) == {"turn_pin_pressure", "arm_bearing_force"}
-    assert whole.not_limited(loaded_study(pressure)).outputs == ("arm_bearing_force",)
+    assert set(full_model_check.not_limited(loaded_study()).outputs) == {"turn_pin_pressure", "arm_bearing_force"}
+    assert full_model_check.not_limited(loaded_study(pressure)).outputs == ("arm_bearing_force",)
     with_duty = loaded_study((start, DUTY + start))
-    assert set(whole.not_limited(with_duty).outputs) == {"turn_pin_pressure", "arm_bearing_force", "life"}
+    assert set(full_model_check.not_limited(with_duty).outputs) == {"turn_pin_pressure", "arm_bearing_force", "life"}
     bare = with_duty.design.replace(bearings=None)
-    assert whole.not_limited(dataclasses.replace(with_duty, design=bare)).outputs == ("turn_pin_pressure",)
-    assert whole.not_limited(study_of("rv-40e-whole")) is None and whole.not_limited(study_of("rv-40e")) is None
+    assert full_model_check.not_limited(dataclasses.replace(with_duty, design=bare)).outputs == ("turn_pin_pressure",)
+    assert (
+        full_model_check.not_limited(study_of("rv-40e-whole")) is None
+        and full_model_check.not_limited(study_of("rv-40e")) is None
+    )
 
 
 def study_of(name):
@@ -169,9 +131,9 @@ def test_units_beyond_a_usual_limit_are_said(monkeypatch):
 
     response.costly, response.outputs = True, ("turn_pin_pressure",)
     asked = loaded_study(("[conditions]", "[run]\nseed = 1\n[conditions]"))
-    monkeypatch.setattr(whole, "Response", SimpleNamespace(of=lambda design, names, conditions: response))
-    (found,) = whole.unlimited(asked, asked.tolerances).values()
-    assert found.nominal == pytest.approx(2650e6) and found.units == whole.UNITS and found.failed == 0
+    monkeypatch.setattr(full_model_check, "Response", SimpleNamespace(of=lambda design, names, conditions: response))
+    (found,) = full_model_check.unlimited(asked, asked.tolerances).values()
+    assert found.nominal == pytest.approx(2650e6) and found.units == full_model_check.UNITS and found.failed == 0
     assert found.reached.lower < 2882.6e6 < found.reached.upper
     assert found.share.lower < 0.93319 < found.share.upper and found.missed
     seen = {"turn_pin_pressure": found}
@@ -187,7 +149,7 @@ def test_units_beyond_a_usual_limit_are_said(monkeypatch):
 
 
 def test_studies_that_are_not_measured(study):
-    assert whole.counterparts(study)
+    assert full_model_check.counterparts(study)
     lacks = LOADED.replace('base = "rv-320e"', 'base = "rv-40e"')
     for text in (
         lacks,
@@ -195,4 +157,4 @@ def test_studies_that_are_not_measured(study):
         LOADED.replace("requirement.transmission_error", "requirement.loaded_transmission_error"),
         LOADED.replace('[requirement.transmission_error]\nupper = "1 arcmin"\n', ""),
     ):
-        assert whole.counterparts(parse_study(text, name="other", solve=False)) == {}
+        assert full_model_check.counterparts(parse_study(text, name="other", solve=False)) == {}

@@ -1,11 +1,10 @@
-"""The command line: one parser for all commands, whose packages hold their options and help.
+"""The command line: one parser for all commands, whose inputs have their options and help.
 
 Bad input ends with one line on standard error and exit code 2; a study without a result
 (infeasible requirements) with exit code 1.
 """
 
 import argparse
-import functools
 import gc
 import io
 import logging
@@ -18,27 +17,42 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from rvjax import commands as listed
 from rvjax.base.words import refilled, terminal_width
-from rvjax.commands import EXIT_BAD_INPUT, EXIT_OK, may_use_gpu, run, say
+from rvjax.commands import (
+    COMMANDS,
+    EXIT_BAD_INPUT,
+    EXIT_OK,
+    add_options,
+    inputs_of,
+    may_use_gpu,
+    read,
+    run,
+    say,
+    texts_of,
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
-    parser = _parser()
-    try:
-        options = parser.parse_args(arguments)
-        options.command = list(sys.argv[1:] if arguments is None else arguments)
-    except SystemExit as stop:  # argparse wrote the error or the help
-        return int(stop.code or 0)
-    worker = getattr(options, "worker", None)
-    _prepare(gpu=may_use_gpu(options.run.args[0], int(worker[2]) if worker else getattr(options, "processes", 1)))
+    given = sys.argv[1:] if arguments is None else list(arguments)
+    name = next((word for word in given if word in COMMANDS), None)
+    if name is None:  # help, version or an unknown command
+        return _parsed(_parser(), given)[1]
+    shared = any(word.partition("=")[0] in ("--processes", "--worker") for word in given)
+    _prepare(gpu=may_use_gpu(name, 2 if shared else 1))
     from rvjax.base.frames import MissingExtra
     from rvjax.base.progress import ended_by
 
+    options, inputs = None, None
     try:
         with ended_by(signal.SIGTERM, _Terminated()):
-            code = options.run(options)
+            options, code = _parsed(_parser(name), given)
+            if options is None:
+                return code
+            inputs = read(inputs_of(name), options)
+            inputs.command = given
+            as_json = options.format == "json" or getattr(options, "json", None) is True  # `--json` that names no file
+            code = run(name, inputs, as_json=as_json)
             sys.stdout.flush()  # here, and not at the end of the interpreter, which would complain
         return code
     except BrokenPipeError:  # the reader has closed the pipe, as `head` does
@@ -48,7 +62,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         say(f"rvjax: error: {' '.join(str(error).split())}", file=sys.stderr)
         return EXIT_BAD_INPUT
     except KeyboardInterrupt as stop:
-        file = getattr(options, "checkpoint", None) or getattr(options, "begun", lambda: None)()
+        memo = inputs and inputs.memo
+        file = getattr(options, "checkpoint", None) or (memo.folder if memo and memo.folder.exists() else None)
         rest = f"the same command resumes from {file}" if file else "nothing was written"
         say(f"rvjax: interrupted, {rest}", file=sys.stderr)
         return 143 if isinstance(stop, _Terminated) else 130
@@ -58,25 +73,29 @@ class _Terminated(KeyboardInterrupt):
     """SIGTERM ends a command as Ctrl-C does; unfinished files are removed."""
 
 
-def _parser() -> argparse.ArgumentParser:
-    """All commands, their options and their help, as `cli.toml` lists them; an option without help is not shown."""
+def _parsed(parser: argparse.ArgumentParser, given: Sequence[str]) -> tuple[argparse.Namespace | None, int]:
+    """The options, or None and the exit code where argparse wrote the error or the help."""
+    try:
+        return parser.parse_args(given), EXIT_OK
+    except SystemExit as stop:
+        return None, int(stop.code or 0)
+
+
+def _parser(chosen: str = "") -> argparse.ArgumentParser:
+    """All commands with their lines of help; the chosen one with its options, whose module takes a second to import."""
     import rvjax
 
     about = tomllib.loads((resources.files("rvjax.cli") / "cli.toml").read_text("utf-8"))
-    as_written = _Formatter
-    parser = argparse.ArgumentParser("rvjax", None, about["description"], about["epilog"], formatter_class=as_written)
+    parser = argparse.ArgumentParser("rvjax", None, about["description"], about["epilog"], formatter_class=_Formatter)
     parser.add_argument("--version", action="version", version=f"rvjax {rvjax.__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    types: dict[str, Any] = {"count": _count, "int": int}
-    for name in listed.COMMANDS:
-        command = listed.about(name)
-        command.pop("table", None)
-        options = command.pop("options") | about["options"]
-        subparser = commands.add_parser(name, formatter_class=as_written, **command)
-        subparser.set_defaults(run=functools.partial(run, name))
-        for flag, option in options.items():
-            kind = {"type": types[option["type"]]} if "type" in option else {}
-            subparser.add_argument(flag, **{"help": argparse.SUPPRESS} | option | kind)
+    for name, line in COMMANDS.items():
+        texts: dict[str, Any] = texts_of(inputs_of(name)) if name == chosen else {}
+        subparser = commands.add_parser(name, formatter_class=_Formatter, help=line, **texts)
+        if name == chosen:
+            add_options(subparser, inputs_of(name))
+            for flag, option in about["options"].items():
+                subparser.add_argument(flag, **option)
     return parser
 
 
@@ -86,17 +105,6 @@ class _Formatter(argparse.RawDescriptionHelpFormatter):
     def _fill_text(self, text: str, width: int, indent: str) -> str:
         columns = terminal_width()
         return super()._fill_text(text if columns is None else refilled(text, columns), width, indent)
-
-
-def _count(text: str) -> int:
-    """A number such as 250000, 1_000_000 or 1e8."""
-    try:
-        number = float(text)
-    except ValueError:
-        number = 0.0
-    if not (1 <= number <= 2**53 and number == int(number)):
-        raise argparse.ArgumentTypeError(f"{text!r}: must be a whole number of at least 1")
-    return int(number)
 
 
 def _prepare(*, gpu: bool = False) -> None:

@@ -1,75 +1,81 @@
-"""One run of a command: inputs, compute, report; then text or JSON on standard output, and a results folder.
+"""One run of a command: compute, report; then text or JSON on standard output, and a results folder.
 
-Parts of the package of a command, imported when first used.
+The module of a command is imported when it is first used.
 """
 
-import argparse
 import importlib
 import json
-import tomllib
-from importlib.util import find_spec
-from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 from rvjax.base import progress
+from rvjax.base.sections import Reader
 from rvjax.base.words import terminal_width, wrapped
-from rvjax.commands.speak import EXIT_NO_ANSWER, EXIT_OK, READING, WRITING, say
+from rvjax.commands.console import EXIT_NO_ANSWER, EXIT_OK, READING, WRITING, say
+from rvjax.commands.inputs import Inputs
+
+COMMANDS = {
+    "init": "write a commented study file to change",
+    "check": "check the values of a study, estimate the run time",
+    "allocate": "the cheapest tolerances that meet the requirements",
+    "design": "the cheapest design and tolerances together that meet the requirements",
+    "report": "the result of `allocate` as one HTML page",
+    "budget": "error budget: variance by error, part, stage and order",
+    "compare": "two results of `allocate` side by side",
+    "montecarlo": "Monte Carlo statistics, any sample size",
+    "identify": "errors of the parts from measured curves, with intervals",
+    "reproduce": "published values next to computed ones, with a verdict",
+    "tradeoff": "speed and accuracy of every model, measured on this computer",
+    "assemble": "match measured parts: parts and positions of every unit",
+    "compensate": "correction table for a controller",
+    "export": "joint model of a reducer for a simulator",
+}
+"""Every command with its line in the help, in the order of the help."""
+
+TABLES = {"assembly": "assemble"}
+"""Tables of study files that only one command reads, with this command."""
 
 
-def about(name: str) -> dict[str, Any]:
-    """Options and help of a command: its `command.toml`."""
-    found = find_spec(f"rvjax.commands.{name}")
-    assert found is not None and found.submodule_search_locations, f"{name}: no package of rvjax.commands"
-    return tomllib.loads((Path(found.submodule_search_locations[0]) / "command.toml").read_text("utf-8"))
+def module(name: str) -> ModuleType:
+    """The module of a command."""
+    return importlib.import_module(f"rvjax.commands.{name}")
 
 
-def module(name: str, part: str) -> ModuleType:
-    """A module of a command: "inputs", "compute" or "report".
-
-    Args:
-        name: of the command.
-        part: of the module.
-    """
-    return importlib.import_module(f"rvjax.commands.{name}.{part}")
+def inputs_of(name: str) -> type[Inputs]:
+    """The class of the inputs of a command."""
+    return getattr(module(name), f"{name.capitalize()}Inputs")
 
 
-def run(name: str, options: argparse.Namespace) -> int:
+def section(table: str) -> Reader | None:
+    """The function (table, study) -> value that reads a table of study files, None where no command reads it."""
+    name = TABLES.get(table)
+    return None if name is None else module(name).section
+
+
+def run(name: str, inputs: Inputs, *, as_json: bool = False) -> int:
     """Run a command; returns the exit code.
 
-    `inputs.inputs(options)` checks everything before any work; its result may have a `folder` for the results, `over`
-    whether they take the place of those in it, and a `memo` of an interrupted run.
-    `compute.compute(inputs)` works, in phases that `compute.phases(inputs)` lists with their expected seconds, if it
-    has any; `compute.COUNTED` is the phase that reports which part of it is done.
-    `report.report(inputs, found)` describes what was found.
-
     Args:
         name: of the command.
-        options: as parsed.
+        inputs: its inputs.
+        as_json: print one JSON value in SI instead of text.
     """
     from rvjax.base.files import write_atomically  # the help does not wait for NumPy
     from rvjax.render import plain, write_files
 
-    inputs = module(name, "inputs").inputs(options)
-    work, report = module(name, "compute"), module(name, "report").report
-    if (memo := getattr(inputs, "memo", None)) is not None:  # an interrupted run resumes from it
-        options.begun = lambda: memo.folder if memo.folder.exists() else None
-    folder, quiet = getattr(inputs, "folder", None), getattr(inputs, "quiet", getattr(options, "quiet", True))
-    as_json = options.format == "json" or getattr(options, "json", None) is True  # `--json` that names no file
-    width = terminal_width()
+    work, folder, width = module(name), inputs.folder, terminal_width()
     phases = work.phases(inputs) if hasattr(work, "phases") else ()
-    with progress.shown(phases, counted=getattr(work, "COUNTED", ""), quiet=quiet):
+    with progress.shown(phases, counted=getattr(work, "COUNTED", ""), quiet=inputs.quiet):
         progress.begin(READING)
-        found = report(inputs, work.compute(inputs))
+        found = work.report(inputs, work.compute(inputs))
         if not as_json and found.content:  # before the folder is made, which may fail
             say(found.text(width) if found.brief is None else wrapped(found.brief, width))
         if folder is not None:
             progress.begin(WRITING)
-            folder = write_files(found.folder(), folder, over=getattr(inputs, "over", False))
+            folder = write_files(found.folder(), folder, over=inputs.over)
     for path, content in found.exports.items():
         write_atomically(path, content)
-    if memo is not None:
-        memo.clear()
+    if inputs.memo is not None:
+        inputs.memo.clear()
     wrote = {} if folder is None else {"report": folder / found.main} if found.main else {"results": folder}
     if as_json:
         more = dict(found.told) | {name: str(path) for name, path in wrote.items()}

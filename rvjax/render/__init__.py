@@ -9,12 +9,7 @@ from rvjax.render.folders import (
     write_files as write_files,
 )
 from rvjax.render.quantity import Quantity as Quantity, Zone as Zone, micro as micro, number as number
-from rvjax.render.report import (
-    Report as Report,
-    as_json as as_json,
-    leading_comment as leading_comment,
-    plain as plain,
-)
+from rvjax.render.report import Report as Report, as_json as as_json, leading_comment as leading_comment, plain as plain
 from rvjax.render.table import (
     CSV as CSV,
     EVERYWHERE as EVERYWHERE,
@@ -32,4 +27,5 @@ from rvjax.render.table import (
     Value as Value,
     aligned as aligned,
     as_csv as as_csv,
+    column as column,
 )

@@ -4,6 +4,7 @@ A column turns a cell into one text and into one or several numbers. None is the
 """
 
 import csv
+import dataclasses
 import io
 import itertools
 import math
@@ -159,6 +160,16 @@ class Limits(Column):
         return [*cell.numbers()[1:], number(cell.drawn, cell.shown[1])]
 
 
+def column(shown: Column, default: Cell = "") -> Any:
+    """A field of a row record: a dataclass whose fields are the columns of a table.
+
+    Args:
+        shown: title, unit, digits.
+        default: cell of a row without a value.
+    """
+    return dataclasses.field(default=default, metadata={"column": shown})
+
+
 @dataclass(frozen=True)
 class Table:
     """A table of a report.
@@ -182,6 +193,21 @@ class Table:
     on: frozenset[str] = EVERYWHERE
     total: bool = False
     under: Sequence[str] = ()
+
+    @classmethod
+    def of(cls, record: type, name: str, rows: Iterable[Any], *, without: Sequence[str] = (), **more: Any) -> "Table":
+        """A table of row records.
+
+        Args:
+            record: class of the rows, with a `column` in each field.
+            name: of the file of the table.
+            rows: of this class.
+            without: fields that the table leaves out.
+            **more: as in the class.
+        """
+        fields = [field for field in dataclasses.fields(record) if field.name not in without]
+        columns = [field.metadata["column"] for field in fields]
+        return cls(name, columns, [[getattr(row, field.name) for field in fields] for row in rows], **more)
 
     def shown(self, on: str) -> list[tuple[int, Column]]:
         """Place and description of the columns that are shown there."""

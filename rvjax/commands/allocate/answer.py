@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rvjax.base.progress import begin, progress_bar
-from rvjax.commands.allocate.forecast import CERTIFYING, PRICING, SAMPLING, SEARCHING, shown_values, targets
-from rvjax.commands.allocate.whole import Unlimited, Whole, unlimited, whole
+from rvjax.commands.allocate.full_model_check import Unlimited, Whole, unlimited, whole
 from rvjax.commands.curves import curves_of
+from rvjax.commands.forecast import CERTIFYING, PRICING, SAMPLING, SEARCHING, shown_values, targets
 from rvjax.population import Population, root_key
 from rvjax.records import PyTree
 from rvjax.response import (  # chunks of the certificate's size: the response compiles once

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 
-from rvjax.commands.cells import limit_text
+from rvjax.commands.sections.cells import limit_text
 from rvjax.life import dynamic_rating
 from rvjax.outputs import Output
 from rvjax.population import deviate_of

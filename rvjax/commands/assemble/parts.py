@@ -10,23 +10,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.assembly import (
-    Kind,
-    Machine,
-    Part,
-    Plan,
-    UnitResponse,
-    draw,
-    known as known_parts,
-    outliers,
-    supply_of,
-)
+from rvjax.assembly import Kind, Machine, Part, Plan, UnitResponse, draw, known as known_parts, outliers, supply_of
 from rvjax.base import columns
 from rvjax.base.cells import MARKS, read_cells
 from rvjax.base.encoding import guessed
 from rvjax.base.fields import axis_sizes, value_text
 from rvjax.base.numbers import number_of
-from rvjax.commands.assemble.inputs import Assembly
+from rvjax.commands.assemble.section import table_of
 from rvjax.mounting import AXES, carried, disc_mountings, drawing
 from rvjax.records import PyTree
 from rvjax.study import KINDS, Study, StudyError, kind_of
@@ -36,12 +26,6 @@ from rvjax.units import KNOWN, recognised, unknown_unit
 WORDS = ("kind", "id", "stock")
 REST = "rest"
 """Slot of all errors with a tolerance and without parts: not measured, independent in each unit."""
-
-
-def table_of(study: Study) -> Assembly:
-    """The table [assembly] of a study, or what holds without it."""
-    found = study.sections.get("assembly")
-    return found if isinstance(found, Assembly) else Assembly()
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Total effects of errors on the harmonics of units: one error is resampled, the others are kept (Jansen 1999)."""
+"""Total effects of errors on the harmonics of units, one error sampled again and the others kept (Jansen 1999)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

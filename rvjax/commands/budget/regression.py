@@ -9,7 +9,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.commands.budget.compute import Budget, curve_along, error_budget, waves_of
+from rvjax.commands.budget.budgets import Budget, curve_along, error_budget, waves_of
 from rvjax.commands.budget.effects import parts_of, squares
 from rvjax.outputs import torque_of
 from rvjax.population import Population, drawn, root_key

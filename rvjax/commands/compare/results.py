@@ -1,11 +1,17 @@
-"""Two results folders side by side: what each found, and what differs."""
+"""Results of `rvjax allocate`: what differs between two, and tolerances of one certified under another study."""
 
+import dataclasses
 import json
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
+from rvjax import study
 from rvjax.records import PyTree
+from rvjax.response import BLOCK
+from rvjax.study import Study
+from rvjax.tolerances import Statistics, monte_carlo
 
 Result = dict[str, PyTree]
 """Content of a result.json, as `rvjax allocate` writes it."""
@@ -148,3 +154,120 @@ def _half(limits: dict[str, float] | None) -> float | None:
 
 def _middle(limits: dict[str, float]) -> float:
     return (limits["upper"] + limits["lower"]) / 2
+
+
+def answered(path: str) -> tuple[Study, PyTree]:
+    """The study of a results folder, and the tolerances that it found, with their distributions.
+
+    Args:
+        path: of the folder, or of the result.json in it.
+
+    Raises:
+        ValueError: no results folder of `rvjax allocate`, or its study and its result do not fit each other.
+    """
+    found = result(path)
+    folder = Path(path) if Path(path).is_dir() else Path(path).parent
+    try:
+        written = (folder / "study.toml").read_text("utf-8")
+    except (OSError, UnicodeDecodeError):
+        raise ValueError(f"{folder}: there is no study.toml next to the result, which has the distributions") from None
+    loaded = study.parse_study(written, name=str(found["study"]), folder=folder, solve=False)
+    try:
+        limits = {name: (one["after"]["lower"], one["after"]["upper"]) for name, one in found["tolerances"].items()}
+        tolerances = {
+            name: getattr(loaded.tolerances, name).replace(lower=lower, upper=upper)
+            for name, (lower, upper) in limits.items()
+        }
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{path}: no result of the study next to it ({error!r})") from None
+    return loaded, loaded.tolerances.replace(**tolerances)
+
+
+@dataclass(frozen=True)
+class Crossed:
+    """Result certified under another study.
+
+    Attributes:
+        study: with the requirements.
+        tolerances: that are certified, a record with a Tolerance or None in each field.
+        taken: fields with the tolerance of the result.
+        own: fields without a tolerance in the result: they keep the tolerance of the study.
+        left: fields without a tolerance in the study: they are excluded from its statistics.
+        cost: in the costs of the study.
+        statistics: of independent units, with the yield of each requirement and of all at once.
+    """
+
+    study: Study
+    tolerances: PyTree
+    taken: tuple[str, ...]
+    own: tuple[str, ...]
+    left: tuple[str, ...]
+    cost: float
+    statistics: Statistics
+
+
+def crossed(study: Study, tolerances: PyTree, *, samples: int | None = None) -> Crossed:
+    """Certify tolerances under the requirements, conditions, design and models of a study.
+
+    Args:
+        study: with the requirements.
+        tolerances: of the result of another study, a record with a Tolerance or None in each field.
+        samples: independent units; by default as many as the study certifies with.
+
+    Raises:
+        ValueError: tolerances of another kind of reducer, or none that the study has.
+    """
+    together = put_into(study, tolerances)
+    given = [f.name for f in dataclasses.fields(tolerances) if getattr(tolerances, f.name) is not None]
+    taken = tuple(name for name in given if name in study.fields)
+    return Crossed(
+        study=study,
+        tolerances=together,
+        taken=taken,
+        own=tuple(name for name in study.fields if name not in taken),
+        left=tuple(name for name in given if name not in taken),
+        cost=cost_of(study, together),
+        statistics=monte_carlo(
+            study.response(),
+            together,
+            samples=study.certificate_samples if samples is None else samples,
+            seed=study.seed + 1,  # the allocation uses that of the study
+            chunk=BLOCK,
+            requirements=study.requirements,
+        ),
+    )
+
+
+def put_into(study: Study, tolerances: PyTree) -> PyTree:
+    """Replace the tolerances of a study by those of a result, where both have one.
+
+    Limits, distribution and capability of an error are kept as deviations from the nominal values of the study's
+    design.
+
+    Args:
+        study: whose other tolerances stay.
+        tolerances: of the result, a record with a Tolerance or None in each field.
+
+    Raises:
+        ValueError: tolerances of another kind of reducer, or none that the study has.
+    """
+    if type(tolerances) is not type(study.tolerances):
+        theirs, ours = (type(record).__name__ for record in (tolerances, study.tolerances))
+        raise ValueError(f"study {study.name}: has requirements on {ours}, the result is about {theirs}")
+    found = {name: one for name in study.fields if (one := getattr(tolerances, name)) is not None}
+    if not found:
+        raise ValueError(f"study {study.name}: has none of the errors of the result")
+    for name, one in found.items():
+        if one.shape != (shape := getattr(study.tolerances, name).shape):
+            raise ValueError(f"tolerances.{name}: {one.shape} elements in the result, {shape} in study {study.name}")
+    return study.tolerances.replace(**found)
+
+
+def cost_of(study: Study, tolerances: PyTree) -> float:
+    """Cost of tolerances in the costs of a study.
+
+    Args:
+        study: whose costs count.
+        tolerances: a record with a Tolerance in each field that has a cost.
+    """
+    return sum(float(cost(getattr(tolerances, name).half_width)) for name, cost in study.costs.items())

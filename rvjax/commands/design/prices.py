@@ -5,8 +5,8 @@ import math
 import jax
 import jax.numpy as jnp
 
-from rvjax.commands.cells import binding, limit_text
-from rvjax.commands.design.compute import Designed, Point
+from rvjax.commands.design.optimum import Designed, Point
+from rvjax.commands.sections.cells import binding, limit_text
 from rvjax.outputs import Output
 from rvjax.render import Note
 from rvjax.study import Study, fields_of, stated_by
@@ -113,7 +113,7 @@ def nominal_limit(study: Study, name: str) -> str:
     return limit_text(study.nominal[name], study.output(name))
 
 
-def prices(study: Study, found: Designed) -> Note:
+def price_note(study: Study, found: Designed) -> Note:
     """Prices of one unit each of half-widths, limits, priced outputs and active bounds, in the unit of cost.
 
     Args:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import rvjax
-from rvjax.commands.identify.compute import Band, Identified
+from rvjax.commands.identify.identified import Band, Identified
 from rvjax.commands.identify.words import elements, field_of
 from rvjax.identify import mapped_values
 from rvjax.measured import judge

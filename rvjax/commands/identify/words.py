@@ -8,8 +8,8 @@ import numpy as np
 
 from rvjax import identify
 from rvjax.base.columns import element, place_of
-from rvjax.commands.identify.compute import Identified
 from rvjax.commands.identify.head import CONSISTENT, Head
+from rvjax.commands.identify.identified import Identified
 from rvjax.records import PyTree
 from rvjax.render import Quantity
 from rvjax.study import NUISANCES, field_unit

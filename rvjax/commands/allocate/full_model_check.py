@@ -1,0 +1,233 @@
+"""Units on the whole reducer: the limits of a four-bar or lost-motion study, and what a loaded study does not limit.
+
+A few hundred units are solved by the loaded model. What a loaded study does not limit is compared with usual limits.
+For another study the share of units that meet its limits there is one line, with the interval of Wilson.
+"""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rvjax import models
+from rvjax._jax.sizes import AT_ONCE
+from rvjax.commands.sections.cells import limit_text, share
+from rvjax.errors import described
+from rvjax.population import Estimate, Population, wilson
+from rvjax.render import Cell, Interval, Number, Quantity, Table, Text, Titled
+from rvjax.response import parts
+from rvjax.study import Response, Study
+from rvjax.tolerances import Requirement, monte_carlo
+from rvjax.units import with_unit
+
+UNITS = 2 * AT_ONCE
+CONFIDENCE = 0.95
+ANGLES = {"samples": 24, "probe_angles": 4}
+SEED = 5  # added to that of the study
+
+
+SHARE = 0.99
+"""Of the units: what is not limited is listed at this share."""
+
+
+@dataclass(frozen=True)
+class Unlimited:
+    """An output of a loaded study that no requirement limits, next to its usual limit.
+
+    Attributes:
+        nominal: value of the unit without errors, SI; nan if it fails.
+        reached: value that `SHARE` of the units keep, SI: a quantile of the side that has a limit.
+        lower: usual limit, SI.
+        upper: usual limit, SI.
+        share: of the units within the usual limit; failed units are not.
+        meaning: of the limit.
+        units: solved ones.
+        failed: those of them without a value.
+    """
+
+    nominal: float
+    reached: Estimate
+    lower: float
+    upper: float
+    share: Estimate
+    meaning: str
+    units: int
+    failed: int
+
+    @property
+    def missed(self) -> bool:
+        """True if less than `SHARE` of the units keep the usual limit."""
+        return self.share.value < SHARE
+
+    @property
+    def limit(self) -> Requirement:
+        """The usual limit."""
+        return Requirement(lower=self.lower, upper=self.upper, target=SHARE)
+
+
+def not_limited(study: Study) -> Response | None:
+    """Outputs with a usual limit that a loaded study does not limit, as far as its design and conditions allow them."""
+    usual = models.kind(study.design).usual if study.costly else {}
+    names = []
+    for name in (name for name, limit in usual.items() if name not in study.requirements):
+        try:
+            Response.of(study.design, (name,), study.conditions)
+        except ValueError:
+            continue
+        names += [name] if usual[name].limits(study.design) else []
+    return Response.of(study.design, tuple(names), study.conditions) if names else None
+
+
+def unlimited(study: Study, tolerances: Any) -> dict[str, Unlimited]:
+    """Measure the outputs that a loaded study does not limit, on units with some tolerances.
+
+    Args:
+        study: with the design and the conditions.
+        tolerances: of the units.
+    """
+    response, population = not_limited(study), Population.of(tolerances)
+    if response is None:
+        return {}
+    usual = {name: models.kind(study.design).usual[name] for name in response.outputs}
+    ends = {name: limit.limits(study.design) or (-math.inf, math.inf) for name, limit in usual.items()}
+    limits = {name: Requirement(lower=low, upper=high, target=SHARE) for name, (low, high) in ends.items()}
+    seed, quantiles = study.seed + SEED, (1 - SHARE, SHARE)
+    found = monte_carlo(
+        response, tolerances, samples=UNITS, seed=seed, chunk=UNITS, requirements=limits, quantiles=quantiles
+    )
+    nominal, count = dict[str, float](), sum(math.prod(tolerance.shape) for tolerance in population.active.values())
+    for part in parts(response, population):
+        nominal |= dict(zip(part.names, part.of_elements(population, np.zeros((count, 1)))[0][:, 0].tolist()))
+    return {
+        name: Unlimited(
+            nominal=nominal[name],
+            reached=found.quantiles[SHARE if math.isfinite(limit.upper) else 1 - SHARE][name],
+            lower=limit.lower,
+            upper=limit.upper,
+            share=found.yield_[name],
+            meaning=usual[name].meaning,
+            units=found.samples,
+            failed=found.failed,
+        )
+        for name, limit in limits.items()
+    }
+
+
+@dataclass(frozen=True)
+class Whole:
+    """Units of a study on the whole reducer.
+
+    Attributes:
+        share: of the units that meet all limits there.
+        units: solved ones.
+        within: {requirement: share of the solved units within its limit}.
+        mean: {requirement: mean of the solved units, SI}.
+        output: {requirement: output of the loaded model in its place}.
+        failed: units that cannot be solved; they do not meet the limits.
+        unread: errors with a tolerance that the loaded model does not read.
+    """
+
+    share: Estimate
+    units: int
+    within: Mapping[str, float]
+    mean: Mapping[str, float]
+    output: Mapping[str, str]
+    failed: int
+    unread: tuple[str, ...]
+
+
+def counterparts(study: Study) -> dict[str, str]:
+    """Outputs of the whole reducer, by requirement; empty where the study has none or its design lacks parts."""
+    design, outputs = study.design, models.kind(study.design).outputs
+    found = {n: outputs[n].exact or n for n, item in study.requirements.items() if item.limits_values}
+    lacks = any(getattr(design, part, None) is None for part in ("stiffness", "contact"))
+    if study.costly or lacks or not getattr(study.conditions, "output_torque", 0.0) or found == {n: n for n in found}:
+        return {}
+    return found
+
+
+def whole(study: Study, tolerances: Any) -> Whole | None:
+    """Measure the units of some tolerances on the whole reducer; None where nothing of the study is measured there.
+
+    Args:
+        study: with requirements of the four-bar or lost-motion model.
+        tolerances: of the units.
+    """
+    outputs = counterparts(study)
+    if not outputs:
+        return None
+    given = study.conditions
+    rated = given.output_torque if given.rated_torque is None else given.rated_torque
+    conditions = dataclasses.replace(given, rated_torque=rated, **ANGLES)
+    response = Response.of(study.design, tuple(dict.fromkeys(outputs.values())), conditions)
+    found = monte_carlo(response, tolerances, samples=UNITS, seed=study.seed + SEED, chunk=UNITS, keep=True)
+    values = {name: np.asarray(found.values[output]) for name, output in outputs.items()}
+    solved = np.all([np.isfinite(row) for row in values.values()], axis=0)
+    within = {name: solved & (np.asarray(study.requirements[name].margin(row)) <= 0) for name, row in values.items()}
+    return Whole(
+        share=wilson(int(np.all(list(within.values()), axis=0).sum()), UNITS, CONFIDENCE),
+        units=UNITS,
+        within={name: float(row.mean()) for name, row in within.items()},
+        mean={name: float(row[solved].mean()) if solved.any() else math.nan for name, row in values.items()},
+        output=outputs,
+        failed=int((~solved).sum()),
+        unread=tuple(name for name in Population.of(tolerances).active if name in described(tolerances, "bounds")),
+    )
+
+
+def whole_text(found: Whole, study: Study) -> str:
+    """One line on the units of a four-bar or lost-motion study on the whole reducer.
+
+    Args:
+        found: what was measured.
+        study: with the limits.
+    """
+    said = []
+    for name, output in found.output.items():
+        unit, size = study.output(name).shown
+        mean = f", mean {with_unit(found.mean[name] / size, unit, '.3g')}" if output != name else ""
+        said.append(f"{output} {100 * found.within[name]:.3g} % within the limit{mean}")
+    known = "errors without a tolerance" + "".join(f", {name} (it has no place)" for name in found.unread)
+    failed = f"; {found.failed} failed" if found.failed else ""
+    return (
+        f"On the whole reducer {share(found.share).text()} of these units meet all limits. Of {found.units} solved "
+        f"units: {'; '.join(said)}{failed}. Not included: {known}."
+    )
+
+
+def unlimited_texts(found: Mapping[str, Unlimited], study: Study) -> list[str]:
+    """A line for each usual limit that less than `SHARE` of the units keep.
+
+    Args:
+        found: what was measured.
+        study: that does not limit it.
+    """
+    return [
+        f"Not limited: {name}. {100 * (1 - one.share.value):.3g} % of the units miss a usual limit, "
+        f"{limit_text(one.limit, study.output(name))} ({one.meaning})."
+        for name, one in found.items()
+        if one.missed
+    ]
+
+
+def unlimited_tables(found: Mapping[str, Unlimited], study: Study) -> list[Table]:
+    """Outputs without a limit: value without errors and at `SHARE` of the units, next to a usual limit.
+
+    Args:
+        found: what was measured.
+        study: that does not limit it.
+    """
+    rows: list[list[Cell]] = []
+    for name, one in found.items():
+        output = study.output(name)
+        nominal = Quantity(one.nominal, output.unit, read_in=output.read_in)
+        reached = Quantity.of(one.reached, output.unit, output.read_in)
+        limit = limit_text(one.limit, output)
+        rows.append([Titled(name, output.meaning), nominal, reached, limit, share(one.share), one.meaning])
+    units = f"{100 * SHARE:g} % of the units"
+    columns = [Text("not limited"), Number("without errors"), Interval(f"{units} [interval]", file_title=units)]
+    columns += [Text("usual limit"), Interval("within it [interval]", file_title="within it"), Text("why", wraps=True)]
+    return [Table("not_limited", columns, rows)] if rows else []

@@ -1,0 +1,324 @@
+"""Report of `rvjax allocate`: verdict, cost, tolerances, influence of each error, requirements, certificate."""
+
+import dataclasses
+import functools
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rvjax.base.files import versions
+from rvjax.commands.allocate import stored_result
+from rvjax.commands.allocate.answer import Answer
+from rvjax.commands.allocate.figures import figures
+from rvjax.commands.allocate.full_model_check import unlimited_tables, unlimited_texts, whole_text
+from rvjax.commands.allocate.shortfall import shortfalls
+from rvjax.commands.sections.cells import (
+    assumed_text,
+    binding,
+    evaluated,
+    failures_text,
+    limit_text,
+    limits_data,
+    limits_of,
+    met_text,
+    price_text,
+    searched_texts,
+    share,
+)
+from rvjax.commands.sections.influence import IN_FILE, NOT_IN_FILE, influence_tables
+from rvjax.population import Estimate
+from rvjax.render import (
+    PAGE,
+    Cell,
+    Column,
+    Interval,
+    Limits,
+    Note,
+    Number,
+    Quantity,
+    Report,
+    Table,
+    Text,
+    Titled,
+    Value,
+    Zone,
+    column,
+    number,
+)
+from rvjax.tolerances import Allocation, expected_losses
+from rvjax.units import readable, with_unit
+
+GRADED = ("graded", "grade", "cost_graded")
+"""Fields of a row that only a result in grades has."""
+MOVED = "middles moved"
+"""Row with the cost of moved mid-points: with it, the column of costs adds up to the total."""
+
+
+def report_on(answer: Answer) -> Report:
+    """Report on a result.
+
+    Args:
+        answer: the result.
+    """
+    certificate = answer.allocation.certificate
+    fresh = f"Certificate: {certificate.samples:,} independent units, {failures_text(certificate)}"
+    return Report(
+        title=answer.study.name,
+        content=(
+            Note(headline(answer)),
+            *tolerance_tables(answer),
+            *influence_tables(answer.study, answer.after.influence),
+            requirement_table(answer),
+            *unlimited_tables(answer.unlimited, answer.study),
+            Note("\n".join([fresh, *limits_of_the_answer(answer)])),
+            *figures(answer),
+        ),
+        status=answer.allocation.status,
+        ok=answer.allocation.status == "OPTIMAL",
+        data=_data(answer),
+        files={"study.toml": answer.study.text.encode(), stored_result.FILE: stored_result.stored(answer)},
+    )
+
+
+def headline(answer: Answer) -> str:
+    """Status with joint yield and cost, or the reason why there is no result."""
+    study, allocation = answer.study, answer.allocation
+    lines = [f"Study {study.name}: {allocation.status}", *filter(None, [study.about.line()])]
+    if (joint := allocation.certificate.joint_yield) is not None:
+        target = "no joint_target set" if study.joint_target is None else f"joint_target {100 * study.joint_target:g} %"
+        lines.append(f"joint yield: {share(joint).text()} ({target})")
+    lines.append("")
+    if allocation.feasible:
+        change = 100 * (allocation.cost / allocation.start_cost - 1)
+        lines.append(f"cost {allocation.start_cost:.3f} -> {allocation.cost:.3f} ({change:+.1f} %)")
+        if graded := allocation.graded:
+            lines.append(f"with ISO 286 grades: cost {graded.cost:.3f} ({graded.status})")
+        lines += losses_of(answer)
+        lines += unlimited_texts(answer.unlimited, study)
+    else:
+        lines.append("No tolerances within the process ranges were found to meet the requirements; at the finest ones")
+    lines += [f"  the limit of {name} {text}" for name, text in shortfalls(study, allocation).items()]
+    return "\n".join(lines)
+
+
+def losses_of(answer: Answer) -> list[str]:
+    """Mean losses of the units that do not fail, before and after, and the cost with these."""
+    study, allocation, sums = answer.study, answer.allocation, [answer.allocation.start_cost]
+    if not study.losses:
+        return []
+    lines, given = [], expected_losses(study.losses, answer.certificate_before)
+    for name, loss in study.losses.items():
+        before, after = given[name], allocation.losses[name]
+        unit, size = study.output(name).shown
+        sums[0] += before.value
+        at, target = (with_unit(float(value) / size, unit, "g") for value in (loss.at, loss.target))
+        priced = f"{float(loss.price):g} for {at} off {target}"
+        lines.append(f"mean loss of {name} ({priced}): {before.value:.3f} -> {after.value:.3f}, {_ends(after)}")
+    whole = allocation.objective
+    assert whole is not None
+    return [*lines, f"cost with losses {sums[0]:.3f} -> {whole.value:.3f}, {_ends(whole)}"]
+
+
+def _ends(estimate: Estimate) -> str:
+    return f"{estimate.lower:.3f} to {estimate.upper:.3f}"
+
+
+def limits_of_the_answer(answer: Answer) -> list[str]:
+    """Notes on the values, a line each: warnings, negative values, what is not modelled."""
+    study = answer.study
+    lines = [f"Doubtful: {line}" for line in study.doubts]
+    lines += [f"Inaccurate: {line}" for line in study.inaccurate(answer.allocation.tolerances)]
+    lines += [f"Assumed (not published): {assumed_text(study)}"] if study.assumed else []
+    lines += searched_texts(study, answer.allocation.tolerances)
+    for name, values in answer.after.values.items():
+        below = float(np.mean(np.asarray(values) < 0))
+        if (meaning := study.output(name).below_zero) and below > 0:
+            lines.append(f"Negative {name} in {100 * below:.3g} % of the units: {meaning}")
+    lines += [f"Not modelled: {line}" for line in study.left_out]
+    return lines + ([whole_text(answer.whole, study)] if answer.whole is not None else [])
+
+
+def moved(allocation: Allocation) -> float:
+    """Cost of moved mid-points; 0 if it is rounding."""
+    found = allocation.cost - sum(allocation.costs.values())
+    return found if found > 1e-9 * allocation.cost else 0.0
+
+
+@dataclass(frozen=True)
+class ToleranceRow:
+    """Limits and cost of an error: before, after, and in grades."""
+
+    error: str = column(Text("error"))
+    unit: str = column(Text("unit", on=IN_FILE))
+    stated: str = column(Text("stated as", on=IN_FILE))
+    before: Zone | str = column(Limits("before"))
+    after: Zone | str = column(Limits("after"))
+    cost_before: float | str | None = column(Number("cost before", form=".3f"))
+    cost_after: float | None = column(Number("cost after", form=".3f"))
+    graded: Zone | str = column(Limits("graded"))
+    grade: str | None = column(Text("grade"))
+    cost_graded: float | None = column(Number("cost graded", form=".3f"))
+
+
+def tolerance_tables(answer: Answer) -> list[Table]:
+    """Limits and cost of each error, and of moved mid-points: before, after, and in grades if required.
+
+    With the sums in text and page, without them in the file.
+    """
+    study, allocation = answer.study, answer.allocation
+    graded = allocation.graded
+    rows = []
+    for field in study.fields:
+        elements = math.prod(getattr(study.tolerances, field).shape)
+        name = Titled(field, f"{elements} elements, each with a separate value" if elements > 1 else "")
+        before, after = (limits_of(study, field, getattr(x, field)) for x in (study.tolerances, allocation.tolerances))
+        costs = answer.before.cost.get(field), answer.after.cost.get(field)
+        grades: tuple[Any, ...] = ()
+        if graded:
+            limits = limits_of(study, field, getattr(graded.tolerances, field))
+            grades = limits, (graded.grades or {}).get(field), graded.costs.get(field)
+        unit = readable(study.unit(field))[0]
+        rows.append(ToleranceRow(name, unit, before.stated or "limits", before, after, *costs, *grades))
+    if price := moved(allocation):
+        rows.append(ToleranceRow(MOVED, cost_after=price, cost_graded=price))
+    sums = allocation.start_cost, allocation.cost
+    total = ToleranceRow("sum", cost_before=sums[0], cost_after=sums[1], cost_graded=graded.cost if graded else None)
+    table = functools.partial(Table.of, ToleranceRow, "tolerances", without=() if graded else GRADED)
+    return [table(rows, on=IN_FILE), table([*rows, total], on=NOT_IN_FILE, total=True)]
+
+
+@dataclass(frozen=True)
+class _Limit(Column):
+    """Limits of a response: one text, two numbers in a file; cells are (requirement, output)."""
+
+    def headers(self) -> list[str]:
+        """Headers in a CSV file."""
+        return ["lower limit", "upper limit"]
+
+    def _said(self, cell: Cell) -> str:
+        return limit_text(*cell)
+
+    def _given(self, cell: Cell) -> list[Value]:
+        requirement, output = cell
+        return [number(limit, output.shown[1]) for limit in (requirement.lower, requirement.upper)]
+
+
+@dataclass(frozen=True)
+class _Price(Column):
+    """Shadow prices per unit of the response: cells are (price per SI unit, output, its interval or None)."""
+
+    def _said(self, cell: Cell) -> str:
+        price, (unit, size) = cell[0], cell[1].shown
+        if not price:
+            return "not binding"
+        if math.isnan(price):
+            return "unknown"
+        ends = "" if cell[2] is None else " [{:.4g}, {:.4g}]".format(*(end * size for end in cell[2]))
+        return f"{price * size:.4g}{ends} /{unit}"
+
+    def _given(self, cell: Cell) -> list[Value]:
+        return [number(cell[0] * cell[1].shown[1])]
+
+
+@dataclass(frozen=True)
+class _Met(Text):
+    """Column for a met requirement, cells are by `met_text`: 1 or 0 in a file."""
+
+    def text(self, cell: Cell) -> str:
+        """The text with its sign."""
+        return f"{'✔' if cell == 'met' else '✘'} {cell}"
+
+    def _given(self, cell: Cell) -> list[Value]:
+        return [int(cell == "met")]
+
+
+ON_PAGE = frozenset({PAGE})
+
+
+@dataclass(frozen=True)
+class RequirementRow:
+    """A requirement with the values that are evaluated, shadow price and verdict."""
+
+    requirement: str = column(Text("requirement"))
+    unit: str = column(Text("unit", on=IN_FILE))
+    limit: tuple[Any, Any] = column(_Limit("limit"))
+    target: str = column(Text("target", on=NOT_IN_FILE))
+    goal: float | None = column(Number("target", on=IN_FILE))
+    requires: str = column(Text("requires", on=IN_FILE))
+    unit_of_value: str = column(Text("unit of the figure", on=IN_FILE))
+    before: Quantity = column(Interval("yield before [interval]", file_title="before"))
+    after: Quantity = column(Interval("yield after [interval]", file_title="after"))
+    met: str = column(_Met("met after", on=IN_FILE))
+    price: tuple[Any, ...] = column(_Price("shadow price", file_title="shadow price per unit"))
+    graded: Quantity | str = column(Interval("yield graded [interval]", on=ON_PAGE))
+    verdict: str = column(_Met("verdict", on=ON_PAGE))
+
+
+def requirement_table(answer: Answer) -> Table:
+    """Limits, the values that are evaluated with their intervals, shadow prices, verdicts."""
+    study, allocation = answer.study, answer.allocation
+    graded, rows = allocation.graded, []
+    for name, requirement in study.requirements.items():
+        output = study.output(name)
+        before, after = (side.verdicts[name] for side in (answer.certificate_before, allocation.certificate))
+        met = met_text(requirement, after, allocation.certificate.samples)
+        row = RequirementRow(
+            requirement=Titled(name, output.meaning),
+            unit=output.shown[0],
+            limit=(requirement, output),
+            target=requirement.text(),
+            goal=getattr(requirement, requirement.goal) if requirement.goal else None,
+            requires=requirement.text(),
+            unit_of_value=output.shown[0] if before.kind == "response" else "-",
+            before=evaluated(before, output),
+            after=evaluated(after, output),
+            met=met,
+            price=(binding(allocation, name), output, allocation.multiplier_intervals.get(name)),
+            graded=evaluated(graded.certificate.verdicts[name], output) if graded else "",
+            verdict=met,
+        )
+        rows.append(row)
+    prices = {name: binding(allocation, name) for name in study.requirements}
+    without = () if graded else ("graded",)
+    return Table.of(RequirementRow, "requirements", rows, without=without, note=price_text(study, prices))
+
+
+def _data(answer: Answer) -> dict[str, object]:
+    """Result as JSON values in SI, without single units."""
+    study, allocation = answer.study, answer.allocation
+    graded = allocation.graded
+    return {
+        "study": study.name,
+        "about": study.about,
+        "status": allocation.status,
+        "feasible": allocation.feasible,
+        "seed": study.seed,
+        "samples": study.samples,
+        "versions": versions(),
+        "conditions": dataclasses.asdict(study.conditions),
+        "cost": {"before": allocation.start_cost, "after": allocation.cost, "middles": moved(allocation)},
+        "tolerances": {
+            field: {
+                "unit": study.unit(field),
+                "before": limits_data(study, field, getattr(study.tolerances, field)),
+                "after": limits_data(study, field, getattr(allocation.tolerances, field)),
+                "graded": limits_data(study, field, getattr(graded.tolerances, field)) if graded else None,
+            }
+            for field in study.fields
+        },
+        "shares": {"after": answer.after.shares},
+        "influence": answer.after.influence,
+        "limits": {name: limit_text(item, study.output(name)) for name, item in study.requirements.items()},
+        "multipliers": allocation.multipliers,
+        "multiplier_intervals": allocation.multiplier_intervals,
+        **({"losses": allocation.losses, "objective": allocation.objective} if study.losses else {}),
+        "shortfall": allocation.shortfall,
+        "certificate": allocation.certificate,
+        "certificate_before": answer.certificate_before,
+        "graded": {"status": graded.status, "cost": graded.cost} if graded else None,
+        **({} if answer.whole is None else {"whole": answer.whole}),
+        **({"unlimited": answer.unlimited} if answer.unlimited else {}),
+        "cost_curve": answer.cost_curve,
+    }

@@ -1,0 +1,253 @@
+"""Error budgets: variance of a curve over units, by error, part, stage and order of the output revolution.
+
+Every share is a total effect (Sobol): half the mean square change of a harmonic when one error is resampled and all
+others stay (Jansen, Comput. Phys. Commun. 117, 1999). No derivative is used, so kinks and clearance are allowed.
+
+Linear shares do not include interactions. From a unit a to another unit b, a harmonic changes by what each error
+changes alone, and a rest R = f(b) - f(a) - sum_i (f(a with b_i) - f(a)), zero for every unit where errors only add up.
+Terms of the variance decomposition (ANOVA) of m errors, of variance V, are orthogonal at these points and leave
+E R^2 = (m^2 - m + 2) V: 4 V of pairs and more of others, so that E R^2 / 4 bounds what is together from above.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from rvjax import models
+from rvjax._jax.sizes import AT_ONCE
+from rvjax.base.progress import progress_bar
+from rvjax.base.words import choose
+from rvjax.commands.budget.effects import FEWEST, MOST, Load, by_level, of_load, parts_of
+from rvjax.commands.curves import curves_of
+from rvjax.outputs import Curve, torque_condition, torque_of
+from rvjax.population import Population, root_key
+from rvjax.response import BLOCK, numbers_of
+from rvjax.study import Study, naming
+from rvjax.tolerances import Influence, influences
+
+UNLOADED = 1e-3  # of the torque: the limit of no load, as on a test bench
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Shares of the variance of a curve over units, about its mean over the cycle.
+
+    Attributes:
+        title: of the curve.
+        unit: SI unit of the curve.
+        orders: of the waves, in periods a turn of the output, (k,) ascending; the first, 0, is the mean over the cycle
+            and in no sum.
+        torque: {load: N m}.
+        variance: {load: {error: (k,) mean square that is gone from each wave when this error is held}}, unit squared.
+        error: {load: {error: standard error of the sum of its variances}}.
+        total: {load: (k,) variance of each wave over the units}. The shares sum to more where errors act together.
+        together: {load: (share of the variance that errors have together, at most, its standard error)}.
+        alike: {load: (k,) mean square of each wave that all units have in common}, of the design and its load.
+        part: {error: part of the reducer}.
+        samples: units, of which `failed` have no curve and are left out.
+        failed: {load: units without a curve, or with a neighbour without one}.
+        linear: variances are those of a linear regression, not of units with one error resampled.
+    """
+
+    title: str
+    unit: str
+    orders: np.ndarray
+    torque: dict[str, float]
+    variance: dict[str, dict[str, np.ndarray]]
+    error: dict[str, dict[str, float]]
+    total: dict[str, np.ndarray]
+    together: dict[str, tuple[float, float]]
+    alike: dict[str, np.ndarray]
+    part: dict[str, str]
+    samples: int
+    failed: dict[str, int]
+    linear: bool = False
+
+    def by(self, level: str, load: str) -> dict[str, np.ndarray]:
+        """Variances (k,) of the errors, or summed over those of a part or stage, the largest first.
+
+        Args:
+            level: "field", "part" or "stage".
+            load: key of `torque`.
+
+        Raises:
+            ValueError: another level.
+        """
+        return by_level(level, self.variance[load], self.part)
+
+    def shares(self, level: str, load: str) -> dict[str, float]:
+        """Shares of the variance without the mean curve; they sum to 1, or are all 0 if nothing varies.
+
+        Args:
+            level: as in `by`.
+            load: key of `torque`.
+        """
+        sums = {name: float(values[1:].sum()) for name, values in self.by(level, load).items()}
+        total = sum(sums.values())
+        return {name: value / total if total > 0 else 0.0 for name, value in sums.items()}
+
+
+def error_budget(
+    study: Study,
+    *,
+    output: str | None = None,
+    tolerances: Any = None,
+    loads: Mapping[str, float] | None = None,
+    samples: int = 256,
+    seed: int | None = None,
+    progress: bool = False,
+) -> Budget:
+    """The error budget of the curve that belongs to an output, such as the transmission error along the output.
+
+    Args:
+        study: design, conditions and tolerances. Over one crank turn only multiples of the pin count are seen, and what
+            lies between them falls on its neighbours; the condition `span` of the loaded model shows every order.
+        output: of the study, whose model has a curve along the output; by default the first that has one.
+        tolerances: other than those of the study, such as allocated ones.
+        loads: torques by name, N m; by default "loaded", that of the study, and "unloaded", a thousandth of it.
+        samples: units; each is solved twice, and once for every error. 256 units give a share of 10 % within 1 %.
+        seed: by default that of the study.
+        progress: show a progress bar.
+
+    Raises:
+        ValueError: no curve along the output, no torque, fewer than 16 samples or more than 65536.
+    """
+    if not FEWEST <= samples <= MOST:
+        raise ValueError(f"samples = {samples}: must be at least {FEWEST} and at most {MOST}")
+    curve = _curve(study, output)
+    given = study.conditions
+    name = torque_condition(given)
+    if loads is None:
+        if not (torque := torque_of(given)):
+            raise ValueError(f"conditions.{name or 'torque'} = 0 N m: a budget under load needs a torque")
+        loads = {"loaded": torque, "unloaded": UNLOADED * torque}
+    population = Population.of(study.tolerances if tolerances is None else tolerances)
+    key = root_key(study.seed if seed is None else seed)
+
+    def draw(first: int, *, count: int) -> np.ndarray:
+        return numbers_of(population, key, first + np.arange(count))
+
+    blocks = -(-samples // AT_ONCE)
+    found = {}
+    with progress_bar(progress, len(loads) * blocks * (2 + len(population.active)), "solving", "block") as advance:
+
+        def solve(torque: float, z: np.ndarray) -> np.ndarray:
+            _, curves = curves_of(curve, study.design, given, population, z, torque)
+            advance(1)
+            return waves_of(curves)
+
+        for load, torque in loads.items():
+            with naming(f"study {study.name}, {load}, {torque:g} N m"):
+                found[load] = of_load(partial(solve, torque), draw, population, samples)
+    waves = len(next(iter(found.values())).total)
+    assert curve.turns is not None
+    by_load: dict[str, Any] = {
+        f.name: {load: getattr(one, f.name) for load, one in found.items()} for f in dataclasses.fields(Load)
+    }
+    return Budget(
+        title=curve.title,
+        unit=curve.unit,
+        orders=np.arange(waves) / curve.turns(study.design, given),
+        torque=dict(loads),
+        part=parts_of(study, population),
+        samples=samples,
+        **by_load,
+    )
+
+
+def waves_of(curves: np.ndarray) -> np.ndarray:
+    """Amplitudes X_k of y = Re sum X_k e^(2 pi i k j / n) below the half of n, (units, k); NaN of a failed unit.
+
+    Args:
+        curves: over one cycle (units, n).
+    """
+    count = (curves.shape[1] + 1) // 2
+    waves = np.fft.rfft(curves, axis=1)[:, :count] / curves.shape[1]
+    waves[:, 1:] *= 2
+    return np.where(np.isfinite(curves).all(axis=1)[:, None], waves, np.nan)
+
+
+def _curve(study: Study, output: str | None) -> Curve:
+    """The curve along the output of one model."""
+    if output is not None:
+        choose("output", output, study.requirements)
+    curve = curve_of(study, output)
+    if curve is None:
+        raise ValueError(f"study {study.name}: no response required here has a curve along the output")
+    return curve
+
+
+def curve_of(study: Study, output: str | None) -> Curve | None:
+    """The curve along the output that a response is a value of; without a response, the first of the study.
+
+    Args:
+        study: with the design.
+        output: required response of the study.
+    """
+    curve = curve_along(study, tuple(study.requirements) if output is None else (output,))
+    return None if output is not None and curve and curve.outputs and output not in curve.outputs else curve
+
+
+def curve_along(study: Study, outputs: Sequence[str]) -> Curve | None:
+    """The first curve along the output of one model; None where no output has one.
+
+    Args:
+        study: with the design.
+        outputs: their names.
+    """
+    described = models.kind(study.design).described
+    curves = (described[name].curve for name in outputs)
+    return next((curve for curve in curves if curve is not None and curve.turns is not None), None)
+
+
+@dataclass(frozen=True)
+class ScalarBudget:
+    """Shares of the variance of one response over units.
+
+    Attributes:
+        output: name of the response.
+        influence: of the errors, as in the result of an allocation.
+        part: {error: part of the reducer}.
+    """
+
+    output: str
+    influence: Influence
+    part: dict[str, str]
+
+    def by(self, level: str) -> dict[str, float]:
+        """Variances of the errors, or summed over those of a part or stage, the largest first.
+
+        Args:
+            level: "field", "part" or "stage".
+        """
+        return by_level(level, self.influence.variance, self.part)
+
+
+def scalar_budget(study: Study, output: str, *, samples: int = 256, seed: int | None = None) -> ScalarBudget:
+    """The error budget of a response by total effects: each error of a unit is sampled again.
+
+    Args:
+        study: design, conditions and tolerances.
+        output: required response of the study.
+        samples: units; each is solved once, and once for every error unless the response is linear.
+        seed: by default that of the study.
+
+    Raises:
+        ValueError: fewer than 16 samples or more than 65536, or none of the units has a value.
+    """
+    if not FEWEST <= samples <= MOST:
+        raise ValueError(f"samples = {samples}: must be at least {FEWEST} and at most {MOST}")
+    seed = study.seed if seed is None else seed
+    population = Population.of(study.tolerances)
+    response, chunk = study.response(), min(samples, BLOCK)
+    with progress_bar(False, samples * len(population.active), "solving", "unit") as advance:
+        (found,) = influences(
+            response, study.tolerances, seed=seed, units=samples, chunk=chunk, names=(output,), advance=advance
+        ).values()
+    if found.failed == samples:
+        raise ValueError(f"none of {samples} units can be solved")
+    return ScalarBudget(output, found, parts_of(study, population))

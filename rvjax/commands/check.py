@@ -1,0 +1,190 @@
+"""`rvjax check`: the values that follow from a study, before anything is computed."""
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+
+from rvjax import models, study
+from rvjax.commands.forecast import choices, expected, level_lines
+from rvjax.commands.inputs import Inputs, option, study_argument
+from rvjax.commands.sections.cells import assumed_text, condition_text, limit_text, limits_data, limits_of
+from rvjax.levels import Choice
+from rvjax.render import Cell, Figure, Limits, Note, Number, Report, Table, Text
+from rvjax.study import KINDS, Study, facts_of, kind_of, numbers, shown
+
+
+@dataclass(kw_only=True)
+class CheckInputs(Inputs):
+    """Print within seconds what follows from a study: ratio, K1, pin gaps, undercut, contact ratio, values compared
+    with known reducers, limits, levels and run time, and warnings for probable input errors.
+
+    examples:
+      rvjax check mine.toml
+      rvjax check mine.toml --picture mine.png
+
+    Impossible values (overlapping pins, a negative clearance) are bad input, exit code 2. Values far from all known
+    reducers give a line that begins with "warning", exit code 0.
+    """
+
+    source: str = study_argument(": rv-40e-whole (default), rv-40e, corr", default="rv-40e-whole")
+    picture: Path | None = option("draw the reducer to scale (default: none)", "FILE.png", type=Path, ends=".png")
+
+    def __post_init__(self) -> None:
+        """Read the study; a drawing needs a kind of reducer that has one."""
+        self.study = study.load(self.source, solve=False)
+        if self.picture and kind_of(self.study.design).drawing is None:
+            able = " and ".join(kind.plural for kind in KINDS.values() if kind.drawing)
+            raise ValueError(f"--picture {self.picture}: plots {able} only, not a {type(self.study.design).__name__}")
+
+
+@dataclasses.dataclass(frozen=True)
+class Checked:
+    """Derived values of a study.
+
+    Attributes:
+        facts: (name, value) of what follows from the design.
+        magnitudes: (number, value, range of known reducers or None), as text in suited units.
+        levels: of each response.
+    """
+
+    facts: list[tuple[str, str]]
+    magnitudes: list[tuple[str, str, str | None]]
+    levels: dict[str, Choice]
+
+
+def compute(inputs: CheckInputs) -> Checked:
+    """Compute the derived values of a study."""
+    study = inputs.study
+    return Checked(list(facts_of(study.design)), _magnitudes(study), choices(study))
+
+
+def _magnitudes(study: Study) -> list[tuple[str, str, str | None]]:
+    of_kind = kind_of(study.design)
+    known = [dict(numbers(one)) for one in of_kind.bases.values()]
+    rows: list[tuple[str, str, str | None]] = []
+    for name, (value, unit) in numbers(study.design):
+        seen = [one[name][0] for one in known if name in one]
+        span = f"{shown(min(seen), unit)} to {shown(max(seen), unit)}" if seen else None
+        rows.append((name, shown(value, unit), span))
+    kind = models.kind(study.design)
+    for f in dataclasses.fields(kind.conditions):
+        value = getattr(study.conditions, f.name)
+        if f.name in kind.conditions_of(tuple(study.requirements)) and value is not None:
+            number = condition_text(value, f.metadata)
+            rated = f.metadata["torque"] and of_kind.rated
+            span = f"up to {shown(of_kind.largest_torque, 'N m')}" if rated else None
+            rows.append((f"conditions.{f.name}", number, span))
+    return rows
+
+
+def report(inputs: CheckInputs, found: Checked) -> Report:
+    """The report on a study.
+
+    Args:
+        inputs: inputs of the command.
+        found: its result.
+    """
+    design = inputs.study.design
+    drawing = kind_of(design).drawing if inputs.picture else None
+    figure = drawing and Figure("design", "The reducer to scale", lambda: drawing.reducer(design))
+    return Report(
+        title=f"{inputs.study.name}: check",
+        content=tuple(_content(inputs.study, found, inputs.source)),
+        data=_data(inputs.study, found),
+        exports={inputs.picture: figure.content()} if inputs.picture and figure else {},
+    )
+
+
+def _content(study: Study, found: Checked, source: str) -> list[Note | Table]:
+    head = [f"Study {study.name}: {type(study.design).__name__}", *filter(None, [study.about.line()])]
+    titles = [Text("number"), Text("this study", wraps=True), Text("known reducers", wraps=True)]
+    magnitudes = Table("numbers", titles, found.magnitudes)
+    rows = [(getattr(study.tolerances, field), field) for field in study.fields]
+    tolerances = Table(
+        "tolerances",
+        [Text("error"), Limits("limits"), Text("distribution")],
+        [[field, limits_of(study, field, tolerance), tolerance.distribution] for tolerance, field in rows],
+    )
+    requirements = Table(
+        "requirements",
+        [Text("requirement"), Text("limit"), Text("target"), Text("meaning", wraps=True)],
+        [
+            [name, limit_text(one, study.output(name)), one.text(), study.output(name).meaning]
+            for name, one in study.requirements.items()
+        ],
+    )
+    costs = Table(
+        "costs",
+        [Text("error"), Number("cost"), Text("finest"), Text("now"), Text("coarsest")],
+        [_cost(study, field) for field in study.costs],
+    )
+    how = [f"  {line}" for line in [*level_lines(study), expected(study)]]
+    left = ["Ignored by the required models:", *(f"  {line}" for line in study.left_out)]
+    said: list[Note | Table] = [
+        Note("\n".join(head)),
+        Note("\n".join(f"{name:32} {value}" for name, value in found.facts)),
+        magnitudes,
+        tolerances,
+        *([requirements] if study.requirements else []),
+        *([costs] if study.costs else []),
+        Note("\n".join(["How it will be computed:", *how])),
+        *([Note(f"Assumed (not published): {assumed_text(study)}")] if study.assumed else []),
+        Note("\n".join([*left, *([f"  {line}"] if (line := whole_line(study, source)) else [])])),
+        Note("\n".join(f"warning: {line}" for line in study.doubts + study.inaccurate()) or "No warnings."),
+    ]
+    return [part for part in said if not isinstance(part, Note) or part.text]
+
+
+def _cost(study: Study, field: str) -> list[Cell]:
+    """Cost of the initial half-width, next to the range of its process."""
+    cost, unit = study.costs[field], study.unit(field)
+    half = getattr(study.tolerances, field).half_width
+    widths = (shown(width, unit) for width in (cost.finest, half, cost.coarsest))
+    return [field, float(cost(half)), *widths]
+
+
+def whole_line(study: Study, source: str) -> str:
+    """Line on the loaded reducer for a study whose outputs it has too; "" for another one.
+
+    Args:
+        study: as read.
+        source: file of the study, or name of an embedded one.
+    """
+    if study.costly or not any(study.output(name).exact for name in study.requirements):
+        return ""
+    base = source if source.endswith(".toml") else study.base or source
+    return (
+        "the loaded reducer: every pin, both stages, bearing life, pin pressure and bearing forces, lost motion as on "
+        f"a test bench; rvjax init NEW.toml --base {base} writes its study"
+    )
+
+
+def _data(study: Study, found: Checked) -> dict[str, object]:
+    return {
+        "study": study.name,
+        "about": study.about,
+        "design": type(study.design).__name__,
+        "facts": dict(found.facts),
+        "numbers": {name: {"value": value, "unit": unit} for name, (value, unit) in numbers(study.design)},
+        "conditions": dataclasses.asdict(study.conditions),
+        "tolerances": {
+            field: {"unit": study.unit(field)} | limits_data(study, field, getattr(study.tolerances, field))
+            for field in study.fields
+        },
+        "requirements": {
+            name: {"lower": one.lower, "upper": one.upper, "requires": one.text(), "unit": study.output(name).unit}
+            for name, one in study.requirements.items()
+        },
+        "costs": {
+            field: {"cost": float(cost(getattr(study.tolerances, field).half_width)), "unit": study.unit(field)}
+            | {name: float(getattr(cost, name)) for name in ("finest", "coarsest")}
+            for field, cost in study.costs.items()
+        },
+        "levels": {
+            name: {"level": choice.level, "error": choice.bound, "unit": study.output(name).unit, "why": choice.why}
+            for name, choice in found.levels.items()
+        },
+        "time": expected(study),
+        "left_out": study.left_out,
+        "doubts": study.doubts + study.inaccurate(),
+    }

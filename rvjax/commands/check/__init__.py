@@ -1,1 +1,0 @@
-"""`rvjax check`: the values that follow from a study, before anything is computed."""

@@ -1,1 +1,0 @@
-"""`rvjax export`: the joint model of a reducer as a file for a simulator."""

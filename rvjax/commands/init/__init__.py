@@ -1,1 +1,0 @@
-"""`rvjax init`: a commented study file to change."""

@@ -1,0 +1,264 @@
+"""Result of a study as one HTML page: plots inside, nothing fetched; for screen, phone and paper.
+
+Scripts only add a section with sliders; without them the page says everything else.
+"""
+
+import dataclasses
+import shlex
+from dataclasses import dataclass
+
+from rvjax import catalogue, levels, models
+from rvjax.base.words import words
+from rvjax.commands.allocate import (
+    Answer,
+    figures,
+    limits_of_the_answer,
+    requirement_table,
+    shortfalls,
+    tolerance_tables,
+    unlimited_tables,
+    unlimited_texts,
+)
+from rvjax.commands.forecast import shown_values
+from rvjax.commands.report import response_surface, sliders
+from rvjax.commands.report.worst_units import SHARE_SHOWN, rows_of, worst_units
+from rvjax.commands.sections.cells import condition_text, share
+from rvjax.commands.sections.influence import influence_tables
+from rvjax.records import PyTree
+from rvjax.render import (
+    Block,
+    Cell,
+    Column,
+    Content,
+    Figure,
+    Note,
+    Quantity,
+    Report,
+    Section,
+    Table,
+    Text,
+    Titled,
+    leading_comment,
+)
+from rvjax.status import MEANING, Status
+from rvjax.study import Study, facts_of, kind_of, shown
+from rvjax.tolerances import Estimate
+from rvjax.units import with_unit
+
+
+@dataclass(frozen=True)
+class Shown:
+    """Result with the surrogate, the error budget, the bearing lives and the friction of its page.
+
+    Attributes:
+        answer: result of the study.
+        surrogate: behind the sliders, None where nothing can move, or without sliders.
+        budget: on that of the allocated tolerances, None where the study has none.
+        bearings: on their lives with the allocated tolerances, None where the study requires none.
+        friction: on losses with the allocated tolerances, None where the study requires none.
+    """
+
+    answer: Answer
+    surrogate: response_surface.Surrogate | None = None
+    budget: Section | None = None
+    bearings: Section | None = None
+    friction: Section | None = None
+
+
+def page_of(found: Shown, source: str, *, date: str = "") -> str:
+    """The whole page; it lacks the sections of what was not found, and a date if none is given.
+
+    Args:
+        found: result, surrogate, budget and bearing lives.
+        source: of the study, as named.
+        date: of the result.
+    """
+    answer, study = found.answer, found.answer.study
+    drawn = {figure.name: figure for figure in figures(answer)}
+    unlimited = unlimited_tables(answer.unlimited, answer.study)
+    result = Section("Result", (requirement_table(answer), *unlimited, *tolerance_tables(answer)))
+    sections: list[Content] = [result, _requirements(answer, drawn), _tolerances(drawn)]
+    sections += [sliders.block(found.surrogate, answer)] if found.surrogate else []
+    sections += [sliders.without(source)] if study.costly and not found.surrogate else []
+    sections += [design_section(study), _influence(answer, drawn)]
+    sections += [section for section in (found.budget, found.bearings, found.friction) if section]
+    sections += [_worst(answer, drawn), _levels(answer)]
+    about = dict(study=study.name, author=study.about.author, revision=study.about.revision, computed=date)
+    certificate = answer.allocation.certificate
+    seeds = f"{study.seed} (certificate {certificate.seed}, sample units {answer.after.seed})"
+    units = f"{study.samples:,} for the optimiser, {study.certificate_samples:,} for each certificate"
+    return Report(
+        title=study.about.title or f"{study.name}: tolerances",
+        content=tuple(sections),
+        status=_verdict(answer),
+        ok=answer.allocation.status == "OPTIMAL",
+        facts={
+            "heading": study.about.title or study.name,
+            "about": {name: text for name, text in about.items() if text},
+            "intro": leading_comment(study.text),
+            "code": answer.allocation.status,
+            "said": " ".join([*_shortfalls(answer), *unlimited_texts(answer.unlimited, study)]),
+            "boxes": _boxes(answer),
+            "caveats": limits_of_the_answer(answer),
+            "origin": {"command": f"rvjax report {shlex.quote(source)}", "seed": seeds, "units": units},
+            "study": study.text,
+            "script": sliders.script(found.surrogate, answer) if found.surrogate else None,
+        },
+    ).html()
+
+
+def _verdict(answer: Answer) -> str:
+    allocation = answer.allocation
+    if allocation.status == "OPTIMAL":
+        return "✔ The requirements can be met, and these are the cheapest tolerances."
+    if allocation.feasible:
+        return f"✘ Tolerances found, but not certified: {allocation.status}."
+    return "✘ No tolerances within the process ranges were found to meet the requirements."
+
+
+def _shortfalls(answer: Answer) -> list[str]:
+    lines = [
+        f"The limit of {words(name)} {text}." for name, text in shortfalls(answer.study, answer.allocation).items()
+    ]
+    infeasible = "All columns “after” show the finest tolerances of the processes."
+    return lines + ([] if answer.allocation.feasible else [infeasible])
+
+
+def _boxes(answer: Answer) -> list[tuple[str, str, str]]:
+    allocation = answer.allocation
+    certificate = allocation.certificate
+    change = 100 * (allocation.cost / allocation.start_cost - 1)
+    boxes = [
+        ("cost before", f"{allocation.start_cost:.3f}", "tolerances of the study"),
+        ("cost after", f"{allocation.cost:.3f}", f"{change:+.1f} %"),
+    ]
+    if graded := allocation.graded:
+        sure = "certified" if graded.status == "OPTIMAL" else graded.status
+        boxes.append(("cost with ISO 286 grades", f"{graded.cost:.3f}", sure))
+    if (joint := certificate.joint_yield) is not None:
+        value, _, interval = share(joint).text().partition(" [")
+        boxes.append(("all requirements at once", value, f"[{interval}"))
+    return [*boxes, ("units certified", f"{certificate.samples:,}", f"{certificate.failed:,} failed")]
+
+
+def _requirements(answer: Answer, drawn: dict[str, Figure]) -> Section:
+    certificate = answer.allocation.certificate
+    failures = [
+        f"{count:,} {status} ({MEANING[Status[status]]}; the first is unit {certificate.examples[status]:,})"
+        for status, count in certificate.failures.items()
+    ]
+    certified = (
+        f"Certificate: {certificate.samples:,} independent units, seed {certificate.seed}, "
+        f"{certificate.failed:,} failed"
+        + (f", each a reject in every yield: {', '.join(failures)}" if failures else "")
+        + f". Intervals hold with {100 * certificate.confidence:g} % confidence; a requirement is met when the lower "
+        "end of its yield reaches the target. A shadow price is the change of the cost when the limit moves outwards."
+    )
+    capability = (
+        "Of the certified units. Cp = (upper - lower)/(6 sd) needs two limits; Cpk = distance of the mean from the "
+        "nearer limit/(3 sd). They give the share of rejects for a normal distribution only; the yield holds for any."
+    )
+    histograms = tuple(drawn[f"histogram_{name}"] for name in answer.study.requirements)
+    parts = (Note(certified), _capability(answer), Note(capability))
+    return Section("Requirements in detail", (*parts, Section("", histograms, style="pair")))
+
+
+def _capability(answer: Answer) -> Table:
+    """Mean, spread and capability of each response that has limits for single units."""
+    study, certificate = answer.study, answer.allocation.certificate
+    rows = []
+    for name in study.requirements:
+        output = study.output(name)
+        sides = [Quantity.of(x[name], output.unit, output.read_in) for x in (certificate.mean, certificate.sd)]
+        capable: list[dict[str, Estimate] | None] = [certificate.cp_estimate, certificate.cpk_estimate]
+        rows.append([name, *sides, *(Quantity.of(found[name]) if found else None for found in capable)])
+    columns = [Text("response"), *(Column(title) for title in ("mean", "sd", "Cp", "Cpk"))]
+    return Table("capability", columns, rows)
+
+
+def _tolerances(drawn: dict[str, Figure]) -> Section:
+    text = Note(
+        "An error without a cost keeps the tolerance of the study. The cost of an error includes all its elements."
+    )
+    curve = [drawn["cost_against_yield"]] if "cost_against_yield" in drawn else []
+    return Section("Cost", (text, *curve))
+
+
+def _influence(answer: Answer, drawn: dict[str, Figure]) -> Section:
+    units = " or ".join(dict.fromkeys(f"{found.units:,}" for found in answer.after.influence.values()))
+    text = Note(
+        f"With the tolerances after, of {units} units: the derivative of each response to one element of an error "
+        "(mean over the units, root mean square over its elements), and the share of the error in the variance: the "
+        "units are compared with units in which this error is sampled again."
+    )
+    return Section(
+        "Which error matters", (text, *influence_tables(answer.study, answer.after.influence), drawn["variance_shares"])
+    )
+
+
+def _worst(answer: Answer, drawn: dict[str, Figure]) -> Section:
+    text = (
+        f"Of {shown_values(answer.study):,} sample units with the tolerances after (seed {answer.after.seed}). The bar "
+        "is the tolerance, the tick its mid-point, each dot one element of the error or the length of a vector. Errors "
+        f"that explain less than {100 * SHARE_SHOWN:g} % of the variance are not shown."
+    )
+    units = Block(
+        "rvjax.commands.report:worst_units.html.j2", {"units": [rows_of(answer, u) for u in worst_units(answer)]}
+    )
+    return Section("Worst units", (Note(text), units, *([drawn["curves"]] if "curves" in drawn else [])))
+
+
+def _levels(answer: Answer) -> Section:
+    study = answer.study
+    outputs = tuple(study.requirements)
+    given = levels.as_given(study.design, outputs, study.conditions, tolerances=study.tolerances)
+    rows = []
+    for name, choice in (given | study.choices()).items():
+        unit, size = study.output(name).shown
+        wanted = with_unit(study.accuracy[name] / size, unit, ".3g") if name in study.accuracy else None
+        bound = None if choice.bound is None else f"< {with_unit(float(f'{choice.bound / size:.2g}'), unit, 'g')}"
+        spent = None if choice.ns is None else f"{choice.ns / 1e3:.3g} us"
+        rows.append([Titled(name, study.output(name).meaning), choice.level, wanted, bound, spent, choice.why])
+    short = [Text(title) for title in ("required accuracy", "its error", "time of a unit")]
+    columns = [Text("response"), Text("level", wraps=True), *short, Text("why", wraps=True)]
+    about = {f.name: f.metadata for f in dataclasses.fields(study.conditions)}
+    conditions = ", ".join(
+        f"{words(key)} = {condition_text(value, about[key])}"
+        for key in models.kind(study.design).conditions_of(outputs)
+        if (value := getattr(study.conditions, key)) is not None
+    )
+    text = (
+        "A level is one way to compute a response. Errors and times are measured; the table comes with "
+        f"rvjax. Times were measured on the computer of the table.\nConditions: {conditions}."
+    )
+    fold = "Level of each response, measured errors and times, conditions"
+    return Section("Accuracy of the computation", (Table("levels", columns, rows), Note(text)), fold=fold)
+
+
+def design_section(study: Study) -> Section:
+    """Every number of the design and where it comes from, and a drawing to scale."""
+    rows: list[list[Cell]] = []
+    for one in study.numbers:
+        name = Titled(one.path.replace(".", " "), one.meaning)
+        rows.append([name, _value(one.value, one.unit), one.origin, "assumed" if one.assumed else ""])
+    rows += [[name, value, "follows from the numbers above", ""] for name, value in facts_of(study.design)]
+    parts: list[Note | Table | Figure] = []
+    if drawing := kind_of(study.design).drawing:
+        parts.append(Figure("design", drawing.caption(study.design), lambda: drawing.reducer(study.design)))
+    if study.assumed:
+        parts.append(Note("Values marked assumed are not published: the result depends on them."))
+    if study.base:
+        parts.append(Note(f"Base {study.base}. {catalogue.citation(study.base)}"))
+    columns = [Text("number"), Text("value", wraps=True), Text("from", wraps=True), Text("note")]
+    listed = Table("design", columns, rows)
+    numbers = Section("", (listed,), fold=f"All {len(rows)} numbers of the design and their sources")
+    return Section("The reducer", (Section("", tuple(parts), style="reducer"), numbers))
+
+
+def _value(value: PyTree, unit: str) -> str:
+    """A number of a design with its unit, or a word; of an array the elements."""
+    if isinstance(value, str):
+        return value
+    if getattr(value, "shape", ()) or isinstance(value, list | tuple):
+        return ", ".join(_value(item, unit) for item in value)
+    return shown(value, unit) if unit != "-" else f"{float(value):.6g}"

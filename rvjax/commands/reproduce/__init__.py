@@ -1,1 +1,0 @@
-"""`rvjax reproduce`: published and computed values, with a verdict."""

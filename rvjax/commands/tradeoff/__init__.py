@@ -1,1 +1,0 @@
-"""`rvjax tradeoff`: time and error of the levels of every model, measured here."""
