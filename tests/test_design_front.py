@@ -87,7 +87,7 @@ def test_points_that_are_not_certified_are_hollow_and_named(status):
 def test_a_cheaper_point_of_the_front_is_another_start(monkeypatch, front, again, due):
     """The least cost is at most that of any certified point, at the prices of the study (4 for 2 kg)."""
     monkeypatch.setattr(command, "_optimum", lambda *given, **named: again)
-    assert command._cheaper(SimpleNamespace(study=PRICED), optimum(10.0), [front], None).found.cost == due
+    assert command._cheaper(PRICED, optimum(10.0), [front], None, True).found.cost == due
 
 
 def test_a_price_that_no_search_found_is_unknown():

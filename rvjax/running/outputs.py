@@ -27,6 +27,8 @@ from rvjax.running.joint import hysteresis
 from rvjax.running.losses import around, backward_efficiency, efficiency, ended, worked
 from rvjax.status import Status, worst
 
+Reducer = RVReducer | CycloidalReducer
+
 
 class Turned(NamedTuple):
     """Losses of a turn under one torque."""
@@ -49,7 +51,7 @@ def supports_of(conditions: Any) -> tuple[str, str, str]:
     return methods["contact"], methods["carrier"], methods["sun"]
 
 
-def turned(design: PyTree, errors: PyTree, conditions: Any, torques: tuple[Scalar, ...]) -> tuple[Turned, ...]:
+def turned(design: Reducer, errors: PyTree, conditions: Any, torques: tuple[Scalar, ...]) -> tuple[Turned, ...]:
     """Losses of a turn under each of some torques.
 
     Args:
@@ -65,7 +67,7 @@ def turned(design: PyTree, errors: PyTree, conditions: Any, torques: tuple[Scala
 
 @quick(0)
 def _turned(
-    plan: TurnPlan, design: PyTree, errors: PyTree, friction: Friction, torques: tuple[Scalar, ...], speed: Scalar
+    plan: TurnPlan, design: Reducer, errors: PyTree, friction: Friction, torques: tuple[Scalar, ...], speed: Scalar
 ) -> tuple[Turned, ...]:
     call = entered(plan, design, errors, friction, 0.0, speed=speed)
     under = jnp.stack([jnp.asarray(torque, call.read.torque.dtype) for torque in torques])
@@ -99,22 +101,22 @@ def torques_of(conditions: Any) -> tuple[float, float, float]:
     return 0.0, size, -size
 
 
-def idle(design: PyTree, errors: PyTree, conditions: Any) -> Turned:
+def idle(design: Reducer, errors: PyTree, conditions: Any) -> Turned:
     """Without load."""
     return turned(design, errors, conditions, torques_of(conditions)[:1])[0]
 
 
-def forward(design: PyTree, errors: PyTree, conditions: Any) -> Turned:
+def forward(design: Reducer, errors: PyTree, conditions: Any) -> Turned:
     """Under the torque with which the input drives."""
     return turned(design, errors, conditions, torques_of(conditions)[1:2])[0]
 
 
-def backward(design: PyTree, errors: PyTree, conditions: Any) -> Turned:
+def backward(design: Reducer, errors: PyTree, conditions: Any) -> Turned:
     """Under the torque with which the output drives."""
     return turned(design, errors, conditions, torques_of(conditions)[2:])[0]
 
 
-def together(sources: tuple[Source, ...], design: PyTree, errors: PyTree, conditions: Any) -> tuple[Turned, ...]:
+def together(sources: tuple[Source, ...], design: Reducer, errors: PyTree, conditions: Any) -> tuple[Turned, ...]:
     """Several sets in one loop.
 
     Args:
@@ -127,14 +129,14 @@ def together(sources: tuple[Source, ...], design: PyTree, errors: PyTree, condit
     return turned(design, errors, conditions, tuple(torque_of[source] for source in sources))
 
 
-def driven_back(design: PyTree, errors: PyTree, conditions: Any) -> BackDriving:
+def driven_back(design: Reducer, errors: PyTree, conditions: Any) -> BackDriving:
     """Torque on the output that turns it in the direction of the motion."""
     how: dict[str, Any] = dict(samples=conditions.running_samples) | ways(conditions)
     how["direction"] = "forward" if sign_of(conditions) > 0 else "backward"
     return back_driving(errors.stiffened(design), errors, **how)
 
 
-def loop(design: PyTree, errors: PyTree, conditions: Any) -> Solved:
+def loop(design: Reducer, errors: PyTree, conditions: Any) -> Solved:
     """Largest of the probe angles, which divide a crank turn."""
     design, step = (
         errors.stiffened(design),
@@ -175,27 +177,27 @@ def _work(conditions: Any) -> tuple[str, int]:
     return "life", conditions.running_samples
 
 
-def _efficiency(of_turn: Turned, design: PyTree, conditions: Any) -> Solved:
+def _efficiency(of_turn: Turned, design: Reducer, conditions: Any) -> Solved:
     return efficiency(of_turn.loss, jnp.asarray(conditions.output_torque, of_turn.loss.dtype)), of_turn.status
 
 
-def _backward(of_turn: Turned, design: PyTree, conditions: Any) -> Solved:
+def _backward(of_turn: Turned, design: Reducer, conditions: Any) -> Solved:
     return backward_efficiency(of_turn.loss, jnp.asarray(conditions.output_torque, of_turn.loss.dtype)), of_turn.status
 
 
-def _starting(of_turn: Turned, design: PyTree, conditions: Any) -> Solved:
+def _starting(of_turn: Turned, design: Reducer, conditions: Any) -> Solved:
     return of_turn.rest / abs(design.ratio), of_turn.status
 
 
-def _no_load(of_turn: Turned, design: PyTree, conditions: Any) -> Solved:
+def _no_load(of_turn: Turned, design: Reducer, conditions: Any) -> Solved:
     return of_turn.loss / abs(design.ratio), of_turn.status
 
 
-def _back_driving(start: BackDriving, design: PyTree, conditions: Any) -> Solved:
+def _back_driving(start: BackDriving, design: Reducer, conditions: Any) -> Solved:
     return start.torque, start.info.status
 
 
-def _power(of_turn: Turned, design: PyTree, conditions: Any) -> Solved:
+def _power(of_turn: Turned, design: Reducer, conditions: Any) -> Solved:
     return abs(conditions.output_speed) * of_turn.loss, of_turn.status
 
 
@@ -207,7 +209,7 @@ def _set_of(conditions: Any) -> tuple[Source, ...]:
 def _refusing(name: str, check: Callable[[Any], None] | None = None) -> Callable[[PyTree, Any], None]:
     """Check the parts of a design and its friction, then run the check `check` of the conditions."""
 
-    def refuse(design: PyTree, conditions: Any) -> None:
+    def refuse(design: Reducer, conditions: Any) -> None:
         if design.friction is None:
             raise ValueError(f"design.friction is missing: {name} needs it")
         for part in ("stiffness", "contact"):

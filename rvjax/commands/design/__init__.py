@@ -97,7 +97,7 @@ def phases(inputs: DesignInputs) -> tuple[str, ...]:
 
 def compute(inputs: DesignInputs) -> Designed:
     """All optima that the options require."""
-    return optima(inputs)
+    return optima(inputs.study, inputs.memo, alone=inputs.alone, points=inputs.points, quiet=inputs.quiet)
 
 
 def report(inputs: DesignInputs, found: Designed) -> Report:

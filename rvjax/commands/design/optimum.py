@@ -11,7 +11,6 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -22,9 +21,6 @@ from rvjax.base import progress
 from rvjax.records import Array, PyTree
 from rvjax.study import Law, Study, StudyError, kind_of
 from rvjax.tolerances import Allocation, Memo, Variable, allocate
-
-if TYPE_CHECKING:
-    from rvjax.commands.design import DesignInputs
 
 NEAREST = 1e-5  # weight of the distance to the start, against the change of the cost over the ranges
 ITERATIONS = 300
@@ -170,38 +166,44 @@ class Designed:
     front: list[Point]
 
 
-def optima(inputs: "DesignInputs") -> Designed:
-    """All optima that the options require."""
-    study, memo = inputs.study, inputs.memo
+def optima(study: Study, memo: Memo | None, *, alone: bool, points: int, quiet: bool) -> Designed:
+    """All optima that are asked for.
+
+    Args:
+        study: with variables.
+        memo: of an interrupted run.
+        alone: the joint optimum and the front only.
+        points: of the front.
+        quiet: without progress.
+    """
     laws = kind_of(study.design).following.called(study.design, study.variables, study.given)
     progress.begin(JOINT)
-    joint = _optimum(inputs, study.variables, memo=memo)
+    joint = _optimum(study, study.variables, memo=memo, quiet=quiet)
     two_step, fixed, unscaled, front = None, dict[str, float](), None, list[Point]()
-    if not inputs.alone:
+    if not alone:
         progress.begin(STEPS)
         fixed = geometry_first(study)
         held = dict(study.variables)
         for path, value in fixed.items():
             held[path] = dataclasses.replace(held[path], lower=value, upper=value, start=value, among=())
-        two_step = _optimum(inputs, held, memo=memo)
+        two_step = _optimum(study, held, memo=memo, quiet=quiet)
         if any(not law.exact for law, _ in laws):
             progress.begin(UNSCALED)
-            unscaled = _optimum(inputs, _from(study.variables, joint), similar=False, memo=memo)
-    if inputs.points and joint.found.feasible:
+            unscaled = _optimum(study, _from(study.variables, joint), similar=False, memo=memo, quiet=quiet)
+    if points and joint.found.feasible:
         progress.begin(TRADE)
         near = _from(study.variables, joint)
-        front = [_optimum(inputs, near, factor=factor, memo=memo) for factor in _factors(inputs.points)]
-        joint = _cheaper(inputs, joint, front, memo)
+        front = [_optimum(study, near, factor=factor, memo=memo, quiet=quiet) for factor in _factors(points)]
+        joint = _cheaper(study, joint, front, memo, quiet)
     return Designed(joint, _outputs(study, {}), two_step, fixed, unscaled, laws, front)
 
 
-def _cheaper(inputs: "DesignInputs", joint: Point, front: list[Point], memo: Memo | None) -> Point:
+def _cheaper(study: Study, joint: Point, front: list[Point], memo: Memo | None, quiet: bool) -> Point:
     """The optimum, sought again from a point of the front that costs less at the prices of the study."""
-    study = inputs.study
     best = min((point for point in front if point.certified), key=lambda point: point.total(study), default=joint)
     if best.total(study) >= (1 - CHEAPER) * joint.found.cost:
         return joint
-    again = _optimum(inputs, _from(study.variables, best), memo=memo)
+    again = _optimum(study, _from(study.variables, best), memo=memo, quiet=quiet)
     return again if again.certified and again.found.cost < joint.found.cost else joint
 
 
@@ -217,14 +219,15 @@ def _from(variables: Mapping[str, Variable], point: Point) -> dict[str, Variable
 
 
 def _optimum(
-    inputs: "DesignInputs",
+    study: Study,
     variables: Mapping[str, Variable],
     *,
     similar: bool = True,
     factor: float = 1.0,
     memo: Memo | None,
+    quiet: bool,
 ) -> Point:
-    study, units = inputs.study, inputs.study.certificate_samples
+    units = study.certificate_samples
     if memo is not None and not similar:
         memo = memo.apart("without scaling laws")  # the same numbers of a design mean another reducer
     try:
@@ -242,7 +245,7 @@ def _optimum(
             certificate_samples=units if factor == 1 else min(units, FRONT_SAMPLES),
             joint_target=study.joint_target,
             memo=memo,
-            progress=not inputs.quiet,
+            progress=not quiet,
         )
     except ValueError as error:
         raise StudyError(f"{study.name}: {error}") from None

@@ -2,11 +2,16 @@
 
 import contextlib
 import dataclasses
+import os
+import shutil
 import time
+import uuid
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from rvjax import tolerances
+from rvjax._jax.distributed import meet
 from rvjax._jax.sizes import CHUNK
 from rvjax.base import progress
 from rvjax.commands.console import READING, share_cores, units_placed
@@ -16,7 +21,7 @@ from rvjax.commands.montecarlo import batch
 from rvjax.commands.sections.cells import evaluated, failures_text, met_text, searched_texts, share
 from rvjax.render import Column, Note, Number, Quantity, Report, Table, Text
 from rvjax.study import Study
-from rvjax.tolerances import ENDINGS, Processes, Statistics, UnitFile
+from rvjax.tolerances import ENDINGS, Folder, Processes, Statistics, UnitFile
 
 
 @dataclass(kw_only=True)
@@ -86,7 +91,7 @@ class MontecarloInputs(Inputs):
             raise ValueError(f"--save-errors: needs --save FILE with {' or '.join(ENDINGS)}, not {self.save}")
         if self.table is not None:
             UnitFile(self.table)  # raises an error for a missing extra before any work
-        self.group = batch.group_of(self)
+        self.group = _group_of(self)
         share_cores(int(self.worker[2]) if self.worker else 1)
         self.shown = not self.quiet
         # The first of several processes has a line of its own, the others are silent.
@@ -246,3 +251,68 @@ def _verdicts(found: Statistics, study: Study) -> list[str]:
     if found.joint_yield is not None:
         lines.append(f"all requirements at once {share(found.joint_yield).text()}")
     return lines
+
+
+_PLACES = (("OMPI_COMM_WORLD_SIZE", "OMPI_COMM_WORLD_RANK"), ("PMI_SIZE", "PMI_RANK"), ("SLURM_NTASKS", "SLURM_PROCID"))
+"""Variables of a launcher with the count of processes and the number of this one: Open MPI, MPICH, Slurm."""
+
+
+def _group_of(inputs: MontecarloInputs) -> Folder | None:
+    """The processes that the options name, after they have met; None without `--distributed`.
+
+    Args:
+        inputs: of the command.
+
+    Raises:
+        ValueError: one line that names the option.
+    """
+    given = {"--coordinator": inputs.coordinator, "--process-id": inputs.process_id, "--timeout": inputs.timeout}
+    if not inputs.distributed:
+        if alone := [name for name, value in given.items() if value is not None]:
+            raise ValueError(f"{alone[0]}: needs --distributed")
+        return None
+    if inputs.checkpoint is None:
+        raise ValueError("--distributed: needs --checkpoint FILE, in a folder that all processes share")
+    whole = Path(inputs.checkpoint).absolute()
+    if not whole.parent.is_dir():
+        raise ValueError(f"--checkpoint {inputs.checkpoint}: there is no such folder")
+    limit = float(inputs.timeout or 120)
+
+    def folder_of(count: int) -> bytes:
+        for old in whole.parent.glob(f"{whole.name}.run-*"):  # of a run that was killed
+            shutil.rmtree(old, ignore_errors=True)
+        name = f"{whole.name}.run-{uuid.uuid4().hex[:8]}"
+        (whole.parent / name).mkdir()
+        return name.encode()
+
+    number, count, said = meet(*_place(inputs), limit=limit, first=folder_of)
+    folder, until = whole.parent / said.decode(), time.monotonic() + limit
+    while not folder.is_dir():
+        if time.monotonic() > until:
+            raise ValueError(
+                f"--checkpoint {inputs.checkpoint}: process {number + 1} of {count} has no {folder.name} of the first "
+                "process there; name the same file, in a folder that all processes share"
+            )
+        time.sleep(0.1)
+    return Folder(folder, number, count, silence=limit)
+
+
+def _place(inputs: MontecarloInputs) -> tuple[str | None, int | None, int | None]:
+    """Address of the first process, count of all, number of this one; None: the cluster says so."""
+    if inputs.coordinator is None:
+        if inputs.process_id is not None or inputs.processes != 1:
+            name = "--processes" if inputs.process_id is None else "--process-id"
+            raise ValueError(f"{name}: with --distributed it needs --coordinator HOST:PORT")
+        return None, None, None
+    host, _, port = inputs.coordinator.rpartition(":")
+    if not host or not port.isdigit():
+        raise ValueError(f"--coordinator {inputs.coordinator}: must be HOST:PORT of the first process")
+    if inputs.process_id is None and inputs.processes == 1:
+        for size, rank in _PLACES:
+            if size in os.environ and rank in os.environ:
+                return inputs.coordinator, int(os.environ[size]), int(os.environ[rank])
+    if inputs.process_id is None:
+        raise ValueError("--coordinator: needs --processes N and --process-id K, or srun or mpirun")
+    if not 0 <= inputs.process_id < inputs.processes:
+        raise ValueError(f"--process-id {inputs.process_id}: must be 0 to {inputs.processes - 1}, below --processes")
+    return inputs.coordinator, inputs.processes, inputs.process_id

@@ -3,24 +3,17 @@
 import contextlib
 import dataclasses
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-import uuid
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rvjax import study, tolerances
-from rvjax._jax.distributed import meet
 from rvjax._jax.sizes import CHUNK
 from rvjax.tolerances import Folder, Processes, Statistics, UnitFile, take
-
-if TYPE_CHECKING:
-    from rvjax.commands.montecarlo import MontecarloInputs
 
 _STUDY = "study"
 """Message with the text of the study."""
@@ -181,68 +174,3 @@ def _end_with(parent: int) -> None:
     while os.getppid() == parent:
         time.sleep(0.2)
     os._exit(1)
-
-
-_PLACES = (("OMPI_COMM_WORLD_SIZE", "OMPI_COMM_WORLD_RANK"), ("PMI_SIZE", "PMI_RANK"), ("SLURM_NTASKS", "SLURM_PROCID"))
-"""Variables of a launcher with the count of processes and the number of this one: Open MPI, MPICH, Slurm."""
-
-
-def group_of(inputs: "MontecarloInputs") -> Folder | None:
-    """The processes that the options name, after they have met; None without `--distributed`.
-
-    Args:
-        inputs: of the command.
-
-    Raises:
-        ValueError: one line that names the option.
-    """
-    given = {"--coordinator": inputs.coordinator, "--process-id": inputs.process_id, "--timeout": inputs.timeout}
-    if not inputs.distributed:
-        if alone := [name for name, value in given.items() if value is not None]:
-            raise ValueError(f"{alone[0]}: needs --distributed")
-        return None
-    if inputs.checkpoint is None:
-        raise ValueError("--distributed: needs --checkpoint FILE, in a folder that all processes share")
-    whole = Path(inputs.checkpoint).absolute()
-    if not whole.parent.is_dir():
-        raise ValueError(f"--checkpoint {inputs.checkpoint}: there is no such folder")
-    limit = float(inputs.timeout or 120)
-
-    def folder_of(count: int) -> bytes:
-        for old in whole.parent.glob(f"{whole.name}.run-*"):  # of a run that was killed
-            shutil.rmtree(old, ignore_errors=True)
-        name = f"{whole.name}.run-{uuid.uuid4().hex[:8]}"
-        (whole.parent / name).mkdir()
-        return name.encode()
-
-    number, count, said = meet(*_place(inputs), limit=limit, first=folder_of)
-    folder, until = whole.parent / said.decode(), time.monotonic() + limit
-    while not folder.is_dir():
-        if time.monotonic() > until:
-            raise ValueError(
-                f"--checkpoint {inputs.checkpoint}: process {number + 1} of {count} has no {folder.name} of the first "
-                "process there; name the same file, in a folder that all processes share"
-            )
-        time.sleep(0.1)
-    return Folder(folder, number, count, silence=limit)
-
-
-def _place(inputs: "MontecarloInputs") -> tuple[str | None, int | None, int | None]:
-    """Address of the first process, count of all, number of this one; None: the cluster says so."""
-    if inputs.coordinator is None:
-        if inputs.process_id is not None or inputs.processes != 1:
-            name = "--processes" if inputs.process_id is None else "--process-id"
-            raise ValueError(f"{name}: with --distributed it needs --coordinator HOST:PORT")
-        return None, None, None
-    host, _, port = inputs.coordinator.rpartition(":")
-    if not host or not port.isdigit():
-        raise ValueError(f"--coordinator {inputs.coordinator}: must be HOST:PORT of the first process")
-    if inputs.process_id is None and inputs.processes == 1:
-        for size, rank in _PLACES:
-            if size in os.environ and rank in os.environ:
-                return inputs.coordinator, int(os.environ[size]), int(os.environ[rank])
-    if inputs.process_id is None:
-        raise ValueError("--coordinator: needs --processes N and --process-id K, or srun or mpirun")
-    if not 0 <= inputs.process_id < inputs.processes:
-        raise ValueError(f"--process-id {inputs.process_id}: must be 0 to {inputs.processes - 1}, below --processes")
-    return inputs.coordinator, inputs.processes, inputs.process_id
