@@ -176,11 +176,11 @@ def requirements_of(study: Study, found: Designed) -> Iterator[Table]:
         output = study.output(name)
         unit, size = output.shown
         price = limit_price(study, found.joint, name)
-        values = [with_unit(side[name] / size, unit, ".5g") for side in (found.start, found.joint.outputs)]
+        before, after = (with_unit(side[name] / size, unit, ".5g") for side in (found.start, found.joint.outputs))
         if name in study.objective:
             named, size = per_output(output)
             price = f"{study.objective[name](size):.3g}{per(named)}"
-        nominal.append(NominalRow(Titled(name, output.meaning), nominal_limit(study, name), *values, price))
+        nominal.append(NominalRow(Titled(name, output.meaning), nominal_limit(study, name), before, after, price))
     if nominal:
         yield Table.of(NominalRow, "nominal", nominal)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rvjax import models
 from rvjax._jax.programs import QUICK
 from rvjax.population import Population, drawn, root_key
-from rvjax.records import Design, PyTree, Record, field, record, text
+from rvjax.records import PyTree, Record, field, record, text
 from rvjax.render import Content, Figure, Note, Number, Section, Share, Table, Text, Titled
 from rvjax.response import per_response
 from rvjax.running import SHARES, Turned, sign_of, turned
@@ -91,7 +91,7 @@ class UnitLosses:
 class _Turned(Record):
     """Losses of one unit under several torques."""
 
-    design: Design = field("-", "the reducer", kind="record")
+    design: PyTree = field("-", "the reducer", kind="record")
     conditions: Any = text("of the study")
     torques: tuple[float, ...] = text("of the output, N m")
 

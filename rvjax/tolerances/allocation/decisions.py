@@ -164,9 +164,10 @@ class Decisions:
         for k, name in enumerate(self.free, count + len(self.moves)):
             item, part = self.variables[name], min(max(float(x[k]), 0.0), 1.0)
             if item.cost is not None:
-                own = lambda p: item.own_cost(item.lower + p * (item.upper - item.lower))  # noqa: B023, E731
                 at = min(max(part, STEP), 1 - STEP)
-                before, here, after = own(at - STEP), own(at), own(at + STEP)
+                before, here, after = (
+                    item.own_cost(item.lower + p * (item.upper - item.lower)) for p in (at - STEP, at, at + STEP)
+                )
                 bends[k] = (after - 2 * here + before) / STEP**2
                 slopes[k] = (after - before) / (2 * STEP) + bends[k] * (part - at)
         own_costs = sum(self.variables[name].own_cost(value) for name, value in self.values(x).items())

@@ -153,7 +153,10 @@ class Units:
         slopes = np.where(np.isfinite(slopes).all(axis=0), slopes, 0.0)
         ends = np.cumsum([0, *(math.prod(t.shape) for t in population.active.values())])
         place = dict(zip(population.active, map(slice, ends[:-1], ends[1:])))
-        by_field = lambda rows, name: rows[place[name]].sum(axis=0)  # noqa: E731
+
+        def by_field(rows: np.ndarray, name: str) -> np.ndarray:
+            return np.asarray(rows[place[name]].sum(axis=0))
+
         numbers = dict(zip(sorted(population.values or {}), slopes[count:]))
         own, spans = slopes[:count] * np.where(slopes[:count] == 0, 0.0, rates), decisions.rates()
         found = [t * by_field(own, name) for name, t in zip(decisions.fields, decisions.half_widths(x))]

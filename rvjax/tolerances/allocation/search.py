@@ -139,7 +139,10 @@ class Search:
 
     def _told(self, several: list[np.ndarray], ends: list[End]) -> list[dict[str, Any]]:
         """Starts that were tried, as `Allocation.starts` has them."""
-        of = lambda x: self.decisions.values(x) | self.decisions.middles_at(x)  # noqa: E731
+
+        def of(x: np.ndarray) -> dict[str, float]:
+            return self.decisions.values(x) | self.decisions.middles_at(x)
+
         return [
             dict(
                 begun=of(x),
