@@ -13,8 +13,8 @@ from rvjax.assembly.choice import CLOSE, EXACT, chosen
 from rvjax.assembly.costs import Costs, Machine, UnitResponse, costs, good
 from rvjax.assembly.on_demand import MOST_VALUED, PILOTS, OnDemand, chosen_on_demand, too_many
 from rvjax.assembly.outliers import UnusualPart, outliers
-from rvjax.assembly.parts import Kind, known
-from rvjax.assembly.supply import Supply, as_they_lie, draw, in_order, left_over, supply_of
+from rvjax.assembly.parts import Kind, Known, known
+from rvjax.assembly.supply import Build, Supply, as_they_lie, draw, in_order, left_over, supply_of
 from rvjax.base.words import choose
 from rvjax.population import deviate_of, score_interval
 from rvjax.tolerances import Estimate, Requirement
@@ -120,26 +120,18 @@ def plan(
         ValueError: fewer than two slots, an unknown objective, "yield" without a requirement, counts below 1, parts
             that do not fit each other, or more than 2**24 combinations.
     """
-    counts = dict(draws=draws, certificate_draws=certificate_draws, starts=starts, exact_up_to=exact_up_to)
-    counts |= dict(most_valued=most_valued, most_fresh=most_fresh, pilots=pilots)
-    _check(kinds, objective, requirement, confidence, **counts)
+    most = dict(exact_up_to=exact_up_to, most_valued=most_valued, pilots=pilots)
+    counts = dict(draws=draws, certificate_draws=certificate_draws, starts=starts, most_fresh=most_fresh)
+    _check(kinds, objective, requirement, confidence, **counts, **most)
     by_kind = {id(kind): known(kind, slot) for slot, kind in kinds.items()}
     _warn(kinds)
     slots = {slot: by_kind[id(kind)] for slot, kind in kinds.items()}
     machine, supply = Machine(response, slots), supply_of(slots)
     certain = all(one.certain for one in slots.values())
-    fewest = min(certificate_draws, LEAST_FRESH)
-    fresh = 1 if certain else max(fewest, min(certificate_draws, most_fresh // supply.units))
-    draws = 1 if certain else draws
-    rng, asked = np.random.default_rng([seed % 2**64, 2]), (draws, requirement, objective == "yield")
-    priced: Costs | OnDemand
+    fresh = 1 if certain else min(certificate_draws, max(LEAST_FRESH, most_fresh // supply.units))
+    asked = 1 if certain else draws, requirement, objective == "yield"
     with best_so_far(keep_best) as unsearched:
-        if too_many(machine, draws, most_valued):
-            priced = OnDemand(machine, draw(slots, seed, 0, draws, alike=True), *asked, pilots)
-            build, bound, reached, proved = chosen_on_demand(priced, supply, objective, starts, rng, most_valued)
-        else:
-            priced = costs(machine, draw(slots, seed, 0, draws, alike=True), *asked)
-            build, bound, reached, proved = chosen(priced, supply, objective, starts, rng, exact_up_to)
+        priced, build, bound, reached, proved = _choice(machine, supply, slots, objective, asked, starts, seed, **most)
     if priced.level:  # nothing to choose by: in the given order
         build = as_they_lie(slots, supply)
     place = np.array(in_order(build, slots))
@@ -171,6 +163,28 @@ def plan(
         unsearched=sum(unsearched),
         checks=checks,
     )
+
+
+def _choice(
+    machine: Machine,
+    supply: Supply,
+    slots: Mapping[str, Known],
+    objective: str,
+    asked: tuple[int, Requirement | None, bool],
+    starts: int,
+    seed: int,
+    *,
+    exact_up_to: int,
+    most_valued: int,
+    pilots: int,
+) -> tuple[Costs | OnDemand, Build, float, float, bool]:
+    """Responses to choose by, the parts chosen, a bound, the objective reached, and whether it is proved."""
+    rng, drawn = np.random.default_rng([seed % 2**64, 2]), draw(slots, seed, 0, asked[0], alike=True)
+    if too_many(machine, asked[0], most_valued):
+        estimated = OnDemand(machine, drawn, *asked, pilots)
+        return estimated, *chosen_on_demand(estimated, supply, objective, starts, rng, most_valued)
+    priced = costs(machine, drawn, *asked)
+    return priced, *chosen(priced, supply, objective, starts, rng, exact_up_to)
 
 
 def _valued(
