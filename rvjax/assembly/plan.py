@@ -134,8 +134,7 @@ def plan(
         priced, build, bound, reached, proved = _choice(machine, supply, slots, objective, asked, starts, seed, **most)
     if priced.level:  # nothing to choose by: in the given order
         build = as_they_lie(slots, supply)
-    place = np.array(in_order(build, slots))
-    drawn = draw(slots, seed, 1, fresh, alike=False)
+    place, drawn = np.array(in_order(build, slots)), draw(slots, seed, 1, fresh, alike=False)
     values, turn = _valued(machine, priced, place, drawn, fresh)
     random, random_good = _random_assembly(machine, supply, priced, drawn, requirement, seed, fresh, most_fresh)
     failed = np.isnan(values).any(axis=1)

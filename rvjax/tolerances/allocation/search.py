@@ -16,7 +16,7 @@ from rvjax.tolerances.allocation.problem import QUICK, STAGES, Problem
 from rvjax.tolerances.allocation.programme import AGAIN, COARSE, LOOKS, MET, RADIUS, STATIONARY, End, Programme
 from rvjax.tolerances.allocation.rays import Rays
 from rvjax.tolerances.allocation.result import Allocation, bounds_active
-from rvjax.tolerances.allocation.starts import rivals, starts
+from rvjax.tolerances.allocation.starts import rivals, starts, tried
 from rvjax.tolerances.batch.statistics import Statistics
 from rvjax.tolerances.loss import expected_losses
 
@@ -62,7 +62,7 @@ class Search:
         low, high = self.programme.low, self.programme.high = lists.relaxed(decisions.low, decisions.high)
         several = starts(decisions, start, low, high) if decisions.free or not problem.costly else [start]
         ends = [self.run(x, RADIUS, most=LOOKS if len(several) > 1 else None) for x in several]
-        self.tried = self._told(several, ends) if len(several) > 1 else []
+        self.tried = tried(decisions, several, ends, constraints.count) if len(several) > 1 else []
         near = rivals(ends, len(decisions.fields), _RIVALS if not problem.costly else 2)
         *growing, last = self._counts(near[0].look) or [constraints.count]
         for count in (*growing, last):
@@ -136,23 +136,6 @@ class Search:
         widths = dict(zip(decisions.fields, map(float, decisions.half_widths(x))))
         self.history.append(dict(cost=look.total, margins=named, half_widths=widths, values=decisions.values(x)))
         return look
-
-    def _told(self, several: list[np.ndarray], ends: list[End]) -> list[dict[str, Any]]:
-        """Starts that were tried, as `Allocation.starts` has them."""
-
-        def of(x: np.ndarray) -> dict[str, float]:
-            return self.decisions.values(x) | self.decisions.middles_at(x)
-
-        return [
-            dict(
-                begun=of(x),
-                values=of(end.look.x),
-                cost=end.look.total,
-                met=end.look.excess <= 2 * MET,
-                units=self.constraints.count,
-            )
-            for x, end in zip(several, ends)
-        ]
 
     def _listed(self, lists: Lists, x: np.ndarray) -> End:
         """The best end with numbers of lists, from the end x without them."""

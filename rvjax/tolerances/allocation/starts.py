@@ -1,5 +1,7 @@
 """Starts of a search: a cost may have several valleys in the mid-points and numbers of a design."""
 
+from typing import Any
+
 import numpy as np
 
 from rvjax.tolerances.allocation.decisions import Decisions
@@ -51,3 +53,22 @@ def rivals(ends: list[End], first: int, most: int) -> list[End]:
         if not found or (different and met and end.look.total <= limit):
             found.append(end)
     return found[:most]
+
+
+def tried(decisions: Decisions, several: list[np.ndarray], ends: list[End], units: int) -> list[dict[str, Any]]:
+    """Starts that were tried, as `Allocation.starts` has them.
+
+    Args:
+        decisions: of the vectors.
+        several: the starts, (n,) vectors.
+        ends: of their searches.
+        units: of the sample.
+    """
+
+    def of(x: np.ndarray) -> dict[str, float]:
+        return decisions.values(x) | decisions.middles_at(x)
+
+    return [
+        dict(begun=of(x), values=of(end.look.x), cost=end.look.total, met=end.look.excess <= 2 * MET, units=units)
+        for x, end in zip(several, ends)
+    ]
