@@ -168,8 +168,7 @@ class Search:
         end = self._enough(end)
         learned, best = self._before(end), None
         constraints, certifier, enough = self.constraints, self.certifier, _WORTH[self.problem.costly]
-        held_at, failed_at = np.zeros(len(constraints.rows)), np.full(len(constraints.rows), np.inf)
-        misses = 0
+        misses, held_at, failed_at = 0, np.zeros(len(constraints.rows)), np.full(len(constraints.rows), np.inf)
         for test in range(TESTS):
             seen = certifier.test(constraints, end.look.x)
             held = certifier.holds(seen) and constraints.missed(end.look) <= ROUNDING
@@ -184,8 +183,8 @@ class Search:
             between = np.sqrt(
                 np.where(held_at > 0, held_at, rejects) * np.where(np.isfinite(failed_at), failed_at, rejects)
             )
-            known = best is not None  # a vector that held
-            rejects = np.where((rejects >= failed_at) | (known & (rejects < held_at)), between, rejects)
+            outside = (rejects >= failed_at) | ((rejects < held_at) & (best is not None))
+            rejects = np.where(outside, between, rejects)
             gain = self._gain(end, rejects, moved) if held or best is None else best[0].look.total - end.look.total
             if (best is not None and gain < enough * abs(end.look.total)) or certifier.hopeless():
                 break
