@@ -55,7 +55,8 @@ def from_one_start():
 
 
 def test_the_optimum_is_that_of_units_which_are_all_solved(all_solved):
-    followed, solved = allocate(response, PARTS, NEED, **OPTIONS), all_solved
+    """The certificate of costly units counts rejects: 20,000 units cost 2 to 4 % more than the exact share."""
+    followed, solved = allocate(response, PARTS, NEED, **OPTIONS | dict(certificate_samples=100_000)), all_solved
     assert followed.status == solved.status == "OPTIMAL"
     assert followed.cost == pytest.approx(solved.cost, rel=0.02)
     assert followed.values["arm"] == pytest.approx(solved.values["arm"], rel=0.03)

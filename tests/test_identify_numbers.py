@@ -30,7 +30,7 @@ def test_a_normal_posterior_weighs_all_draws_alike(normal):
 
 def test_effective_draws_of_unequal_weights():
     """Kish: (sum w)^2/sum w^2; of weights 1 and 3 in equal numbers 16/20 of all, whatever their scale."""
-    found = identify.laplace.reliability(np.log(np.tile([1.0, 3.0], 50)) + 7, 1)
+    found = identify.goodness_of_fit.reliability(np.log(np.tile([1.0, 3.0], 50)) + 7, 1)
     assert found.ess == pytest.approx(80.0)
 
 
@@ -75,7 +75,7 @@ def test_a_process_below_its_mid_point_and_what_is_shared():
 def test_few_weights_have_a_shape_near_one_half(count):
     """Quantiles of an exponential (shape 0); the prior counts as ten draws at 0.5."""
     share = (np.arange(count) + 0.5) / count
-    found = identify.laplace._generalised_pareto(-np.log1p(-share))
+    found = identify.goodness_of_fit._generalised_pareto(-np.log1p(-share))
     assert found == pytest.approx(5 / (count + 10), abs=0.1)
 
 

@@ -67,7 +67,7 @@ FEWEST_BEYOND = 8  # units of the learning sample beyond a limit, below which a 
 YIELD_SWEEP = (0.9, 0.95, 0.99, 0.995, 0.999)
 
 # Counted in results of rv-40e, with moving mid-points and half-widths rounded to grades, and of rv-40e-whole.
-PASSES = {True: 360, False: 60}  # of a search and its cost curve over its sample, with and without moving mid-points
+PASSES = {True: 110, False: 60}  # of a search and its cost curve over its sample, with and without moving mid-points
 CERTIFICATES = {True: 5, False: 4}
 PASSES_A_POINT = 6  # of the cost curve
 # The same of rv-40e-whole, whose units are costly: the sample grows, and a point of the cost curve has few units.

@@ -11,7 +11,7 @@ from typing import Any
 from rvjax._reducer.plausible import shown
 from rvjax.base.words import UnknownWord, choose, unknown
 from rvjax.records import PyTree
-from rvjax.units import KNOWN, parse, point_for
+from rvjax.units import KNOWN, parse, point_for, with_unit
 
 Toml = dict[str, object]
 """A table of a study file."""
@@ -213,9 +213,9 @@ def field_value(value: object, about: Metadata, where: str) -> PyTree:
         return quantities(value, unit, where)
     number = quantity(value, unit, where)
     if least is not None and number < least:
-        raise ValueError(f"{where} = {value!r}: must be at least {least:g} {unit}")
+        raise ValueError(f"{where} = {value!r}: must be at least {with_unit(least, unit)}")
     if most is not None and number > most:
-        raise ValueError(f"{where} = {value!r}: must be at most {most:g} {unit}")
+        raise ValueError(f"{where} = {value!r}: must be at most {with_unit(most, unit)}")
     return number
 
 

@@ -167,7 +167,7 @@ class Designed:
 
 
 def optima(study: Study, memo: Memo | None, *, alone: bool, points: int, quiet: bool) -> Designed:
-    """All optima that are asked for.
+    """All optima that the options require.
 
     Args:
         study: with variables.
