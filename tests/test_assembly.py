@@ -12,7 +12,7 @@ import pytest
 from assembly_cases import cases, kind, measured, square
 
 from rvjax import RVErrors, Status
-from rvjax.assembly import Kind, Part, plan
+from rvjax.assembly import Kind, Part, costs as costs_module, plan
 from rvjax.assembly.choice import least_largest, least_sum, weigh
 from rvjax.assembly.costs import best_turn, costs, good
 from rvjax.assembly.supply import Supply
@@ -320,3 +320,17 @@ def test_a_class_of_several_pieces_may_be_used_several_times():
     supply = Supply((np.array([2, 2]),) * 3, (0, 1, 2), 2)
     found = least_sum([cost], supply, 1, np.random.default_rng(0))
     assert found.exact and sorted(found.build) == [(0, 0, 0), (0, 0, 0)]
+
+
+def test_positions_that_a_response_traces_share_one_program(monkeypatch):
+    """A program for each of the four would be right too, and take four times as long to compile."""
+    places, respond = [], costs_module.respond
+
+    def counted(*given, at=None, **named):
+        places.append(at)
+        return respond(*given, **named) if at is None else respond(*given, at=at, **named)
+
+    monkeypatch.setattr(costs_module, "respond", counted)
+    kinds = {slot: kind(values, indices=2) for slot, values in {"a": [1.0, -2.0, 0.5], "b": [-0.4, 1.1, 1.9]}.items()}
+    plan(lambda parts, index: jnp.abs(sum(x["x"] * (1 - 2 * index[slot]) for slot, x in parts.items())), kinds)
+    assert places and set(places) == {None}

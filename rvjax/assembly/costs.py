@@ -32,7 +32,7 @@ def respond(
     structures: "Structures",
     *,
     counts: tuple[int, ...],
-    at: tuple[int, ...] | None,
+    at: tuple[int, ...] | None = None,
 ) -> jax.Array:
     """Responses (batch,), nan where a unit failed.
 
