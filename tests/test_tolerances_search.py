@@ -85,6 +85,22 @@ def test_after_a_miss_the_wanted_rejects_are_those_of_the_result(monkeypatch):
     assert (constraints.rejects == rejects).all() and (seen[-1][1] != rejects).any()
 
 
+def test_between_a_certificate_that_holds_and_one_that_misses_all_limits_move_half_way(monkeypatch):
+    """The edge of one limit moves with the others. Here 1.15 times the first rejects hold."""
+    shares, test = [], Certifier.test
+
+    def tested(self, constraints, x):
+        shares.append(float(constraints.rejects[0]))
+        return test(self, constraints, x)
+
+    monkeypatch.setattr(Certifier, "test", tested)
+    monkeypatch.setattr(Certifier, "holds", lambda self, statistics: shares[-1] <= 1.15 * shares[0])
+    looser = lambda self, constraints, *_: (1.5 * constraints.rejects, constraints.moved)  # noqa: E731
+    monkeypatch.setattr(Certifier, "corrected", looser)
+    solved()
+    assert np.array(shares[:4]) / shares[0] == pytest.approx([1, 1.5, 1.5**0.5, 1.5**0.25])
+
+
 def test_more_certificate_units_are_drawn_where_they_save_more_than_they_cost():
     """1000 units want a share of 99.7 %, which costs 15 %; each doubling saves a third of it. 50,000 are enough."""
     few, many = (solved(certificate_samples=count) for count in (1000, 50_000))

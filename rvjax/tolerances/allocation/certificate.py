@@ -91,21 +91,6 @@ class Certifier:
         joint = statistics.joint_yield
         return met and (wanted is None or (joint is not None and joint.lower >= wanted))
 
-    def failing(self, constraints: Constraints, statistics: Statistics) -> np.ndarray:
-        """Rows (c,) that a certificate does not show.
-
-        Args:
-            constraints: of the search.
-            statistics: of the certificate.
-        """
-        verdicts, wanted, joint = statistics.verdicts or {}, self._problem.joint_target, statistics.joint_yield
-        short = wanted is not None and (joint is None or joint.lower < wanted)
-        found = [short if row.item is None and row.share else False for row in constraints.rows]
-        for k, row in enumerate(constraints.rows):
-            if row.item is not None and row.name in verdicts:
-                found[k] = not verdicts[row.name].met
-        return np.array(found, bool)
-
     def hopeless(self) -> bool:
         """True if not even a sample without rejects could certify every target."""
         n, confidence = self.run.samples, self.run.confidence
@@ -189,7 +174,7 @@ class Certifier:
                 wanted = constraints.target(k) / (1 + (deviate + SPARE) * figure.error / shown)
             elif smooth is not None and wanted * n > FEWEST:
                 if (shown > wanted) == (smooth[k] > wanted):
-                    shown = max(shown, smooth[k]) if shown > wanted else smooth[k]
+                    shown = max(shown, smooth[k]) if shown > wanted else smooth[k]  # a miss moves by a unit at least
                 wanted -= misses / n
             ratio = reached[k] / rejects[k] * wanted / shown
             rejects[k] = min(rejects[k] * float(np.clip(ratio, 1 / _MOST, _MOST)), 0.5)

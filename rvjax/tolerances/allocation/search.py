@@ -166,25 +166,23 @@ class Search:
     def certified(self, end: End) -> tuple[Allocation, End]:
         """The end of a search, corrected by certificates until one holds with a small margin, and its result."""
         end = self._enough(end)
-        learned, best = self._before(end), None
+        learned, misses = self._before(end), 0
+        best: tuple[End, Statistics, np.ndarray, np.ndarray] | None = None
+        missed: tuple[np.ndarray, np.ndarray] | None = None
         constraints, certifier, enough = self.constraints, self.certifier, _WORTH[self.problem.costly]
-        misses, held_at, failed_at = 0, np.zeros(len(constraints.rows)), np.full(len(constraints.rows), np.inf)
         for test in range(TESTS):
             seen = certifier.test(constraints, end.look.x)
             held = certifier.holds(seen) and constraints.missed(end.look) <= ROUNDING
+            misses += not held
             if held and (best is None or end.look.total < best[0].look.total):
                 best = end, seen, constraints.rejects, constraints.moved
-            reached = constraints.reached(end.look) if self.rays is None else constraints.rejects
-            misses += not held
-            rejects, moved = certifier.corrected(constraints, end.look, seen, reached, misses)
-            bad = certifier.failing(constraints, seen)
-            held_at = np.where(bad, held_at, np.maximum(held_at, constraints.rejects))
-            failed_at = np.where(bad, np.minimum(failed_at, constraints.rejects), failed_at)
-            between = np.sqrt(
-                np.where(held_at > 0, held_at, rejects) * np.where(np.isfinite(failed_at), failed_at, rejects)
-            )
-            outside = (rejects >= failed_at) | ((rejects < held_at) & (best is not None))
-            rejects = np.where(outside, between, rejects)
+            elif best is not None:
+                missed = constraints.rejects, constraints.moved
+            if best is not None and missed is not None:  # half way, all limits together: each one has its own edge
+                rejects, moved = np.sqrt(best[2] * missed[0]), (best[3] + missed[1]) / 2
+            else:
+                reached = constraints.reached(end.look) if self.rays is None else constraints.rejects
+                rejects, moved = certifier.corrected(constraints, end.look, seen, reached, misses)
             gain = self._gain(end, rejects, moved) if held or best is None else best[0].look.total - end.look.total
             if (best is not None and gain < enough * abs(end.look.total)) or certifier.hopeless():
                 break
