@@ -18,7 +18,7 @@ from rvjax.population import Estimate
 from rvjax.response import Part
 from rvjax.tolerances import Memo, Requirement, allocate
 from rvjax.tolerances.allocation import search
-from rvjax.tolerances.allocation.certificate import Certifier
+from rvjax.tolerances.allocation.certificate import TESTS, Certifier
 from rvjax.tolerances.allocation.constraints import Constraints
 from rvjax.tolerances.batch.run import Run
 from tests.oracles.linear_pair import COSTS, LIMIT, PAIR, closed_cost, linear, share, two
@@ -85,8 +85,8 @@ def test_after_a_miss_the_wanted_rejects_are_those_of_the_result(monkeypatch):
     assert (constraints.rejects == rejects).all() and (seen[-1][1] != rejects).any()
 
 
-def test_between_a_certificate_that_holds_and_one_that_misses_all_limits_move_half_way(monkeypatch):
-    """The edge of one limit moves with the others. Here 1.15 times the first rejects hold."""
+def recorded(monkeypatch):
+    """Wanted rejects of the first limit at each certificate of the searches to come."""
     shares, test = [], Certifier.test
 
     def tested(self, constraints, x):
@@ -94,11 +94,39 @@ def test_between_a_certificate_that_holds_and_one_that_misses_all_limits_move_ha
         return test(self, constraints, x)
 
     monkeypatch.setattr(Certifier, "test", tested)
+    return shares
+
+
+def test_between_a_certificate_that_holds_and_one_that_misses_all_limits_move_half_way(monkeypatch):
+    """The edge of one limit moves with the others. Here 1.15 times the first rejects hold."""
+    shares = recorded(monkeypatch)
     monkeypatch.setattr(Certifier, "holds", lambda self, statistics: shares[-1] <= 1.15 * shares[0])
     looser = lambda self, constraints, *_: (1.5 * constraints.rejects, constraints.moved)  # noqa: E731
     monkeypatch.setattr(Certifier, "corrected", looser)
     solved()
     assert np.array(shares[:4]) / shares[0] == pytest.approx([1, 1.5, 1.5**0.5, 1.5**0.25])
+
+
+def test_each_certificate_that_misses_aims_one_unit_farther_inside(monkeypatch):
+    """Else limits that fail in turn, by a unit each, would use up all certificates."""
+    shares = recorded(monkeypatch)
+    monkeypatch.setattr(Certifier, "holds", lambda self, statistics: False)
+    count = solved().certificate.samples
+    farther = (shares[1] - shares[-1]) * count  # the first correction is that of the sample
+    assert len(shares) == TESTS and 0.5 < farther / (TESTS - 2) < 2
+
+
+def test_certificate_units_are_chosen_before_the_largest_sample(monkeypatch):
+    """And again at its end, where the prices are those of the result."""
+    counts, enough = [], search.Search._enough
+
+    def counted(self, end):
+        counts.append(self.constraints.count)
+        return enough(self, end)
+
+    monkeypatch.setattr(search.Search, "_enough", counted)
+    solved(requirements={"y": Requirement(lower=-1.0, upper=1.0, target=0.998)}, samples=100, certificate_samples=4096)
+    assert counts == [4096, 16_384]
 
 
 def test_more_certificate_units_are_drawn_where_they_save_more_than_they_cost():

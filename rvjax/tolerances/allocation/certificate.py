@@ -173,8 +173,8 @@ class Certifier:
                 shown = max(1 - figure.value, 1e-3 * constraints.target(k))
                 wanted = constraints.target(k) / (1 + (deviate + SPARE) * figure.error / shown)
             elif smooth is not None and wanted * n > FEWEST:
-                if (shown > wanted) == (smooth[k] > wanted):
-                    shown = max(shown, smooth[k]) if shown > wanted else smooth[k]  # a miss moves by a unit at least
+                if (shown > wanted) == (smooth[k] > wanted):  # the count moves in steps, a quantile is smoothed
+                    shown = (max if shown > wanted else min)(shown, smooth[k])
                 wanted -= misses / n
             ratio = reached[k] / rejects[k] * wanted / shown
             rejects[k] = min(rejects[k] * float(np.clip(ratio, 1 / _MOST, _MOST)), 0.5)

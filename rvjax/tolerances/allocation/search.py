@@ -168,21 +168,21 @@ class Search:
         end = self._enough(end)
         learned, misses = self._before(end), 0
         best: tuple[End, Statistics, np.ndarray, np.ndarray] | None = None
-        missed: tuple[np.ndarray, np.ndarray] | None = None
+        missed: np.ndarray | None = None
         constraints, certifier, enough = self.constraints, self.certifier, _WORTH[self.problem.costly]
         for test in range(TESTS):
             seen = certifier.test(constraints, end.look.x)
             held = certifier.holds(seen) and constraints.missed(end.look) <= ROUNDING
-            misses += not held
+            misses = 0 if held else misses + 1
             if held and (best is None or end.look.total < best[0].look.total):
                 best = end, seen, constraints.rejects, constraints.moved
-            elif best is not None:
-                missed = constraints.rejects, constraints.moved
-            if best is not None and missed is not None:  # half way, all limits together: each one has its own edge
-                rejects, moved = np.sqrt(best[2] * missed[0]), (best[3] + missed[1]) / 2
-            else:
-                reached = constraints.reached(end.look) if self.rays is None else constraints.rejects
-                rejects, moved = certifier.corrected(constraints, end.look, seen, reached, misses)
+            elif not held:
+                missed = constraints.rejects
+            reached = constraints.reached(end.look) if self.rays is None else constraints.rejects
+            rejects, moved = certifier.corrected(constraints, end.look, seen, reached, misses)
+            if best is not None and missed is not None:  # between them: edges known from other vectors fail together
+                inside = (rejects - best[2]) * (missed - rejects) > 0
+                rejects = np.where(inside, rejects, np.sqrt(best[2] * missed))
             gain = self._gain(end, rejects, moved) if held or best is None else best[0].look.total - end.look.total
             if (best is not None and gain < enough * abs(end.look.total)) or certifier.hopeless():
                 break
