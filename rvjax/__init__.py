@@ -62,7 +62,7 @@ _MODULES = (
 )
 _LAZY = {name: home for home, names in _HOMES.items() for name in names.split()} | dict.fromkeys(_MODULES.split())
 
-_GROUND = ("cycloidal", "designs", "errors", "records", "status")  # submodules whose names are all above
+_GROUND = ("bearings", "cycloidal", "designs", "errors", "flank", "records", "status")  # submodules
 _DEPRECATED = ("compile_cache",)
 
 __all__ = ["enable_x64", *sorted(_LAZY)]

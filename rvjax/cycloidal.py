@@ -9,11 +9,10 @@ from typing import Any, ClassVar, Self
 import jax
 import numpy as np
 
-from rvjax._reducer.bearings import Bearings
-from rvjax._reducer.friction import Friction
 from rvjax.base.words import choose
+from rvjax.bearings import Bearings, Friction
 from rvjax.designs import Contact, CycloidStage
-from rvjax.errors import RUNNING, Errors, RVErrors, deviation, part, placed, share
+from rvjax.errors import RUNNING, Errors, RVErrors, centre, deviation, part, placed, share
 from rvjax.records import Record, Scalar, concrete, count, field, quantity, record, text
 
 MEMBERS = ("carrier", "ring")
@@ -152,20 +151,16 @@ class CycloidalErrors(Errors):
         of="output.pin_radius",
         carried_by="carrier",
     )
-    shaft_centre: Scalar = placed(
+    shaft_centre: Scalar = centre(
         "axis of the shaft against the main axis, x, y in the part at rest at input angle 0",
         SHAFT,
         READ_BY,
-        shape=(2,),
-        vector="xy",
         breaks_pitch=True,
     )
-    carrier_centre: Scalar = placed(
+    carrier_centre: Scalar = centre(
         "circle of output pins against the main axis, x, y at input angle 0; turns with the carrier",
         CARRIER,
         READ_BY,
-        shape=(2,),
-        vector="xy",
         carried_by="carrier",
     )
     ring_pin_friction: Scalar = _as_rv("ring_pin_friction", reader=RUNNING)

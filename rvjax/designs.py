@@ -12,8 +12,7 @@ from typing import ClassVar, Self
 import jax
 import numpy as np
 
-from rvjax._reducer.bearings import Bearings as Bearings, RollerBearing as RollerBearing
-from rvjax._reducer.friction import Friction as Friction
+from rvjax.bearings import Bearings as Bearings, Friction as Friction, RollerBearing as RollerBearing
 from rvjax.errors import CamRollerErrors, RVErrors
 from rvjax.records import Array, Record, Scalar, concrete, count, field, quantity, record
 from rvjax.units import deg

@@ -18,20 +18,30 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.base import frames
-from rvjax.base.fields import Shape as Shape, brief, field_table, fit, shape_text
+from rvjax.base.fields import (
+    IN_ERROR_UNIT as IN_ERROR_UNIT,
+    Field,
+    Scalar as Scalar,
+    Shape as Shape,
+    brief,
+    check_axes,
+    check_sign,
+    concrete as concrete,
+    field_table,
+    fit,
+    is_concrete as is_concrete,
+    number,
+    quantity as quantity,
+)
 from rvjax.base.words import unknown
 
 if TYPE_CHECKING:
     from rvjax.base.frames import DataFrame, Dataset
 
 Array = jax.Array
-# One number; under `jax.vmap` and in a stack of records one for each case. An ndarray of any type doubled mypy's time.
-Scalar = float | Array | np.ndarray[tuple[int, ...], np.dtype[np.floating]]
 PyTree = Any  # numbers nested in a way that types cannot express
 Class = TypeVar("Class", bound=type)
 Metadata = Mapping[str, Any]  # of a field: unit, meaning, shape, sign, kind ..
-Field = dataclasses.Field[Any]
-IN_ERROR_UNIT = "error"  # unit of a field that is measured like the error that it belongs to
 
 
 class Design(Protocol):
@@ -152,7 +162,7 @@ class Record:
             return
         for f in dataclasses.fields(self):
             object.__setattr__(self, f.name, _checked(type(self).__name__, f, getattr(self, f.name)))
-        _check_axes(self)
+        check_axes(self)
         self._check()
 
     def _check(self) -> None:
@@ -221,29 +231,6 @@ def signs_hold(item: Record) -> jax.Array:
     return sound
 
 
-def is_concrete(value: object) -> bool:
-    """Return true for a number or an array whose value can be looked at now."""
-    return isinstance(value, (float, int, np.ndarray, np.generic)) or (
-        isinstance(value, jax.Array) and not isinstance(value, jax.core.Tracer)
-    )
-
-
-def concrete(*values: object) -> bool:
-    """Return true if every value is a concrete number, so that a constructor may check it."""
-    return all(is_concrete(v) for v in values)
-
-
-def quantity(value: Scalar, unit: str) -> str:
-    """Return a value with its unit, for messages.
-
-    Args:
-        value: number or array.
-        unit: as text, "-" for none.
-    """
-    number = f"{float(value):.6g}" if np.ndim(value) == 0 else np.array2string(np.asarray(value), precision=6)
-    return number if unit in ("-", IN_ERROR_UNIT) else f"{number} {unit}"
-
-
 def promote(*trees: PyTree) -> PyTree:
     """Bring every number in `trees` to their common floating dtype.
 
@@ -280,7 +267,7 @@ def broadcast_fields(cls: type[Record], counts: Mapping[str, int], values: Mappi
         if not f.metadata["shape"]:
             filled[name] = value
             continue
-        value = _number(cls.__name__, f, value)
+        value = number(cls.__name__, f, value)
         sizes = fit(f"{cls.__name__}.{name}", value, f.metadata["shape"], counts)
         if sizes:  # a series that is not there stays 0.0
             value = np.asarray(value, own) if isinstance(value, float) else value
@@ -290,46 +277,21 @@ def broadcast_fields(cls: type[Record], counts: Mapping[str, int], values: Mappi
     return filled
 
 
-def _number(owner: str, f: Field, value: object) -> PyTree:
-    """Python numbers become floats (NumPy scalars would promote float32 programs), sequences arrays."""
-    if isinstance(value, (bool, str, bytes)):
-        raise ValueError(f"{owner}.{f.name} = {value!r}: must be a number in {f.metadata['unit']}")
-    if isinstance(value, (list, tuple)):
-        if f.metadata["kind"] == "pair" and len(value) == 2:
-            return tuple(_number(owner, f, v) for v in value)  # stays weakly typed, unlike an array
-        traced = any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(value))
-        try:
-            value = jnp.asarray(value) if traced else np.asarray(value)
-        except (TypeError, ValueError):
-            raise ValueError(f"{owner}.{f.name} = {value!r}: must be an array of numbers") from None
-    number: Any = value
-    kind = getattr(getattr(value, "dtype", None), "kind", "")
-    if kind == "b" or (isinstance(value, np.ndarray) and kind not in "fiu"):
-        raise ValueError(f"{owner}.{f.name}: must hold numbers in {f.metadata['unit']}, got dtype {number.dtype}")
-    if isinstance(value, (int, float, np.generic)) or (isinstance(value, np.ndarray) and value.ndim == 0):
-        return float(number)
-    if kind in ("i", "u"):  # `jax.grad` accepts no whole numbers
-        return number.astype(float)
-    if not hasattr(value, "dtype") or (is_concrete(value) and np.ndim(number) == 0 and np.iscomplexobj(number)):
-        raise ValueError(f"{owner}.{f.name} = {value!r}: must be a number in {f.metadata['unit']}")
-    return value
-
-
 def _checked(owner: str, f: Field, value: PyTree) -> PyTree:
     kind = f.metadata["kind"]
     if kind == "count":
         try:
-            number = operator.index(value)
+            whole = operator.index(value)
         except TypeError:
             raise ValueError(f"{owner}.{f.name} = {value!r}: must be an integer") from None
-        if isinstance(value, bool) or number < f.metadata["minimum"]:
+        if isinstance(value, bool) or whole < f.metadata["minimum"]:
             raise ValueError(f"{owner}.{f.name} = {value!r}: must be an integer of at least {f.metadata['minimum']}")
-        return number
+        return whole
     if kind in ("text", "integer", "record") or value is None or isinstance(value, Record):
         return value  # a tolerance may replace a number, None a part
-    value = _number(owner, f, value)
+    value = number(owner, f, value)
     if is_concrete(value):
-        _check_sign(owner, f, value)
+        check_sign(owner, f, value)
     return value
 
 
@@ -352,36 +314,10 @@ def _numeric(item: Record) -> list[Field]:
 
 def _without_numbers(item: Record, values: Mapping[str, PyTree]) -> bool:
     fields = _numeric(item)
-    return bool(fields) and all(_no_number(values[f.name]) for f in fields)
+    return bool(fields) and all(_nonumber(values[f.name]) for f in fields)
 
 
-def _no_number(value: PyTree) -> bool:
+def _nonumber(value: PyTree) -> bool:
     if value is None or type(value) is float or isinstance(value, jax.Array):
         return value is None
     return not any(isinstance(leaf, float) or hasattr(leaf, "dtype") for leaf in jax.tree.leaves(value))
-
-
-def _check_sign(owner: str, f: Field, value: Scalar) -> None:
-    sign, values = f.metadata["sign"], np.asarray(value)
-    if sign != "any" and np.any(values <= 0 if sign == "positive" else values < 0):  # NaN passes: a status names it
-        rule = "positive" if sign == "positive" else "zero or positive"
-        raise ValueError(f"{owner}.{f.name} = {quantity(value, f.metadata['unit'])}: must be {rule}")
-
-
-def _check_axes(item: Record) -> None:
-    """Ranks, literal axes, and one size for each named axis across the record's fields."""
-    sizes: dict[str, tuple[int, str]] = {}
-    owner = type(item).__name__
-    for f in dataclasses.fields(item):
-        value, declared = getattr(item, f.name), f.metadata.get("shape", ())
-        if f.metadata["kind"] not in ("real", "pair") or not is_concrete(value) or np.ndim(value) == 0:
-            continue
-        shape = np.shape(value)
-        if len(shape) != len(declared) or any(isinstance(axis, int) and axis != n for axis, n in zip(declared, shape)):
-            also = " or a scalar" if declared else ", a scalar; sweep with jax.vmap"
-            raise ValueError(f"{owner}.{f.name}: shape {shape}, expected {shape_text(declared)}{also}")
-        for axis, size in zip(declared, shape):
-            if isinstance(axis, str) and sizes.setdefault(axis, (size, f.name))[0] != size:
-                raise ValueError(
-                    f"{owner}.{f.name}: shape {shape} has {size} {axis}, {sizes[axis][1]} has {sizes[axis][0]}"
-                )

@@ -11,7 +11,6 @@ from types import SimpleNamespace
 import pytest
 
 from rvjax import catalogue, cli, designs, study
-from rvjax._reducer import plausible
 from rvjax.commands import check
 from rvjax.commands.forecast import expected, forewarn
 from rvjax.commands.init import written
@@ -146,7 +145,7 @@ def test_known_reducers_and_the_studies_raise_no_doubt():
 def test_a_written_study_is_the_known_reducer(base):
     text = template(base)
     made = study.parse_study(text, name=base, solve=False)
-    due, given = dict(plausible.numbers(study.BASES[base])), dict(plausible.numbers(made.design))
+    due, given = dict(catalogue.numbers(study.BASES[base])), dict(catalogue.numbers(made.design))
     for name, (value, _) in due.items():
         if (
             name.split(".")[0] in ("involute", "cycloid", "cranks", "cam_radius", "eccentricity")

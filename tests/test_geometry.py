@@ -11,8 +11,7 @@ import pytest
 from scipy import optimize
 
 from rvjax import RVErrors, geometry, lost_motion
-from rvjax._reducer.plausible import ImplausibleDesign
-from rvjax.catalogue import CORR, RV_40E, RV_320E
+from rvjax.catalogue import CORR, RV_40E, RV_320E, ImplausibleDesign
 from rvjax.designs import Contact, CrankStage, CycloidStage, InvoluteStage
 from rvjax.geometry import contact_ratio, least_convex_radius
 from rvjax.loaded.cases import MACHINE

@@ -26,7 +26,7 @@ FLOORS = tuple(tuple(re.split(r" {2,}", line)[0].split()) for line in DIAGRAM.sp
 FLOOR = {name: number for number, names in enumerate(FLOORS) for name in names}
 
 
-PRIVATE = ("base", "_jax", "_reducer")  # folders of single modules, without names in their `__init__`
+PRIVATE = ("base", "_jax")  # folders of single modules, without names in their `__init__`
 
 
 def rooms():
@@ -289,7 +289,7 @@ def overrides(name):
 def test_every_exported_function_of_two_parameters_tells_each():
     """The test above holds that the section names them all, in their order."""
     assert {"rvjax.four_bar.reducer.revolution", "rvjax.records.field", "rvjax.status.worst"} <= set(EXPORTED)
-    assert "rvjax._reducer.deviations.Errors.for_design" in EXPORTED  # a method of a base of records
+    assert "rvjax.errors.Errors.for_design" in EXPORTED  # a method of a base of records
     several = [name for name in EXPORTED if len(parameters(PUBLIC[name])) > 1 and not overrides(name)]
     assert [name for name in several if "\nArgs:\n" not in inspect.cleandoc(PUBLIC[name].__doc__)] == []
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from rvjax import catalogue, cli, study
-from rvjax._reducer import plausible
 from rvjax.commands.allocate import shortfalls
 from rvjax.commands.init import written
 from rvjax.life import dynamic_rating, static_rating
@@ -55,7 +54,7 @@ def test_a_study_of_every_size_is_that_of_the_loaded_reducer(base):
     assert made.conditions.output_torque == made.conditions.rated_torque == torque
     np.testing.assert_allclose(made.conditions.duty, [[torque, 15 * rpm, 3600.0]])
     assert made.requirements["life"].lower == 6000 * 3600.0
-    for path, value, _ in plausible.walk(known):
+    for path, value, _ in catalogue.walk(known):
         part = path.split(".")[0]
         if np.any(value) and part in ("involute", "cycloid", "cranks", "stiffness", "contact", "bearings"):
             np.testing.assert_allclose(number_at(made.design, path), value, rtol=1e-3, err_msg=path)
@@ -65,7 +64,7 @@ def test_a_study_of_every_size_is_that_of_the_loaded_reducer(base):
 def test_every_number_without_a_source_says_that_it_is_assumed(base):
     made, sources = read(written(base).text), catalogue.sources(base)
     paths = [
-        path for path, _, _ in plausible.walk(made.design) if path.split(".")[0] in ("stiffness", "contact", "bearings")
+        path for path, _, _ in catalogue.walk(made.design) if path.split(".")[0] in ("stiffness", "contact", "bearings")
     ]
     unsaid = ("output_support", "output_torsion", "contact_angle", "rating_factor")  # defaults
     lacking = {path for path in paths if path not in sources and not path.endswith(unsaid)}
@@ -81,8 +80,8 @@ def test_the_study_of_the_whole_rv_40e_has_the_numbers_of_the_embedded_one():
         for name in ("conditions", "tolerances", "costs", "requirements", "seed", "samples", "certificate_samples"):
             assert repr(getattr(made, name)) == repr(getattr(due, name)), name
         for part in ("involute", "cycloid", "cranks", "stiffness", "contact", "bearings"):
-            own = {path: value for path, value, _ in plausible.walk(getattr(made.design, part))}
-            for path, value, _ in plausible.walk(getattr(due.design, part)):
+            own = {path: value for path, value, _ in catalogue.walk(getattr(made.design, part))}
+            for path, value, _ in catalogue.walk(getattr(due.design, part)):
                 np.testing.assert_allclose(own[path], value, rtol=1e-11, err_msg=path)
 
 

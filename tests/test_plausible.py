@@ -7,8 +7,17 @@ import jax
 import pytest
 
 from rvjax import CamRollerErrors, RVErrors, dynamics, four_bar, loaded, lost_motion, mesh_force, study
-from rvjax._reducer.plausible import KNOWN_DESIGNS, ImplausibleDesign, doubtful
-from rvjax.catalogue import CORR, RV_20E, RV_40E, RV_40E_WHOLE, RV_80E, RV_320E
+from rvjax.catalogue import (
+    CORR,
+    KNOWN_DESIGNS,
+    RV_20E,
+    RV_40E,
+    RV_40E_WHOLE,
+    RV_80E,
+    RV_320E,
+    ImplausibleDesign,
+    doubtful,
+)
 from rvjax.loaded.cases import MACHINE
 
 MODELS = {

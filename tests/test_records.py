@@ -243,7 +243,7 @@ def test_forgotten_float64_is_said_once():
     code = """if True:
     import warnings, numpy, rvjax
     from rvjax import RVErrors, catalogue
-    from rvjax._reducer import deviations
+    from rvjax._jax import checks
     made = (
         lambda: RVErrors.for_design(catalogue.RV_40E, crank_phase=1e-4),
         lambda: rvjax.lost_motion.geometric(catalogue.RV_20E, RVErrors(bearing_clearance=1e-6)),
@@ -251,7 +251,7 @@ def test_forgotten_float64_is_said_once():
         lambda: rvjax.CamRollerErrors(eccentricity=1e-6),
     )
     for make in made:
-        deviations._reminded.clear()
+        checks._reminded.clear()
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             RVErrors.for_design(catalogue.RV_40E, crank_phase=numpy.float32(1e-4))

@@ -1,13 +1,16 @@
 """Arguments of public functions: checked before JAX sees them, so that errors name the argument."""
 
+import contextlib
 import functools
 import inspect
 import types
 import typing
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from rvjax.base.words import unknown
@@ -235,3 +238,27 @@ def _check(name: str, value: object, kind: _Kind) -> None:
 def _short(value: object) -> str:
     text = " ".join(repr(value).split())
     return text if len(text) <= 60 else f"{text[:56]} ..."
+
+
+_reminded: list[bool] = []
+
+
+def remind_of_precision() -> None:
+    """Warn once, where plain numbers of microns become float32 because float64 is not enabled."""
+    if jnp.result_type(float) == jnp.float64 or _reminded:
+        return
+    _reminded.append(True)
+    warnings.warn(
+        "rvjax computes in float32: call rvjax.enable_x64() first, or give arrays of float32 on purpose",
+        stacklevel=5,  # the caller of the constructor
+    )
+
+
+@contextlib.contextmanager
+def unreminded() -> Iterator[None]:
+    """Make constants of rvjax inside: they are made when it is imported, before a user may enable float64."""
+    _reminded.append(True)
+    try:
+        yield
+    finally:
+        _reminded.pop()

@@ -1,10 +1,11 @@
-"""Fields of records: their named axes with the sizes of a design, and their values in one short line."""
+"""Fields of records: checks of their numbers, their named axes with the sizes of a design, their values in one line."""
 
 import dataclasses
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from rvjax.units import KNOWN, suited
@@ -13,6 +14,10 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 Shape = tuple[str | int, ...]
+Field = dataclasses.Field[Any]
+# One number; under `jax.vmap` and in a stack of records one for each case. An ndarray of any type doubled mypy's time.
+Scalar = float | jax.Array | np.ndarray[tuple[int, ...], np.dtype[np.floating]]
+IN_ERROR_UNIT = "error"  # unit of a field that is measured like the error that it belongs to
 
 
 def axis_sizes(shape: Shape, counts: Mapping[str, int], given: tuple[int, ...] = ()) -> tuple[int, ...]:
@@ -58,7 +63,7 @@ def fit(name: str, value: float | jax.Array | np.ndarray, shape: Shape, counts: 
 _LONGEST = 60  # characters of a text or a tuple, beyond which its middle is left out
 
 
-def field_table(fields: tuple[dataclasses.Field[Any], ...]) -> str:
+def field_table(fields: tuple[Field, ...]) -> str:
     """Name, unit, shape and meaning of every field, for the docstring of a record.
 
     Args:
@@ -122,7 +127,7 @@ def numbers_of(value: object) -> np.ndarray | None:
     if isinstance(value, jax.Array):
         if isinstance(value, jax.core.Tracer) or value.is_deleted() or not value.is_fully_addressable:
             return None
-        if not jax.numpy.issubdtype(value.dtype, jax.numpy.number) and value.dtype != bool:  # keys of random numbers
+        if not jnp.issubdtype(value.dtype, jnp.number) and value.dtype != bool:  # keys of random numbers
             return None
     elif isinstance(value, bool) or not isinstance(value, (int, float, complex, np.ndarray, np.generic)):
         return None
@@ -130,3 +135,93 @@ def numbers_of(value: object) -> np.ndarray | None:
     if array.dtype.kind == "V":  # bfloat16 and its like, as NumPy sees them
         array = array.astype(float)
     return array if array.dtype.kind in "biufc" else None
+
+
+def is_concrete(value: object) -> bool:
+    """Return true for a number or an array whose value can be looked at now."""
+    return isinstance(value, (float, int, np.ndarray, np.generic)) or (
+        isinstance(value, jax.Array) and not isinstance(value, jax.core.Tracer)
+    )
+
+
+def concrete(*values: object) -> bool:
+    """Return true if every value is a concrete number, so that a constructor may check it."""
+    return all(is_concrete(v) for v in values)
+
+
+def quantity(value: Scalar, unit: str) -> str:
+    """Return a value with its unit, for messages.
+
+    Args:
+        value: number or array.
+        unit: as text, "-" for none.
+    """
+    number = f"{float(value):.6g}" if np.ndim(value) == 0 else np.array2string(np.asarray(value), precision=6)
+    return number if unit in ("-", IN_ERROR_UNIT) else f"{number} {unit}"
+
+
+def number(owner: str, f: Field, value: object) -> Any:
+    """The value of a field: Python numbers become floats (NumPy scalars would promote float32), sequences arrays.
+
+    Args:
+        owner: name of the record.
+        f: its field.
+        value: as given.
+
+    Raises:
+        ValueError: it is no number and no array of numbers.
+    """
+    if isinstance(value, (bool, str, bytes)):
+        raise ValueError(f"{owner}.{f.name} = {value!r}: must be a number in {f.metadata['unit']}")
+    if isinstance(value, (list, tuple)):
+        if f.metadata["kind"] == "pair" and len(value) == 2:
+            return tuple(number(owner, f, v) for v in value)  # stays weakly typed, unlike an array
+        traced = any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(value))
+        try:
+            value = jnp.asarray(value) if traced else np.asarray(value)
+        except (TypeError, ValueError):
+            raise ValueError(f"{owner}.{f.name} = {value!r}: must be an array of numbers") from None
+    given: Any = value
+    kind = getattr(getattr(value, "dtype", None), "kind", "")
+    if kind == "b" or (isinstance(value, np.ndarray) and kind not in "fiu"):
+        raise ValueError(f"{owner}.{f.name}: must hold numbers in {f.metadata['unit']}, got dtype {given.dtype}")
+    if isinstance(value, (int, float, np.generic)) or (isinstance(value, np.ndarray) and value.ndim == 0):
+        return float(given)
+    if kind in ("i", "u"):  # `jax.grad` accepts no whole numbers
+        return given.astype(float)
+    if not hasattr(value, "dtype") or (is_concrete(value) and np.ndim(given) == 0 and np.iscomplexobj(given)):
+        raise ValueError(f"{owner}.{f.name} = {value!r}: must be a number in {f.metadata['unit']}")
+    return value
+
+
+def check_sign(owner: str, f: Field, value: Scalar) -> None:
+    """Raise an error for a concrete number without the sign that its field declares; NaN passes: a status names it.
+
+    Args:
+        owner: name of the record.
+        f: its field.
+        value: number or array.
+    """
+    sign, values = f.metadata["sign"], np.asarray(value)
+    if sign != "any" and np.any(values <= 0 if sign == "positive" else values < 0):
+        rule = "positive" if sign == "positive" else "zero or positive"
+        raise ValueError(f"{owner}.{f.name} = {quantity(value, f.metadata['unit'])}: must be {rule}")
+
+
+def check_axes(item: "DataclassInstance") -> None:
+    """Check ranks, literal axes, and one size for each named axis across the fields of a record."""
+    sizes: dict[str, tuple[int, str]] = {}
+    owner = type(item).__name__
+    for f in dataclasses.fields(item):
+        value, declared = getattr(item, f.name), f.metadata.get("shape", ())
+        if f.metadata["kind"] not in ("real", "pair") or not is_concrete(value) or np.ndim(value) == 0:
+            continue
+        shape = np.shape(value)
+        if len(shape) != len(declared) or any(isinstance(axis, int) and axis != n for axis, n in zip(declared, shape)):
+            also = " or a scalar" if declared else ", a scalar; sweep with jax.vmap"
+            raise ValueError(f"{owner}.{f.name}: shape {shape}, expected {shape_text(declared)}{also}")
+        for axis, size in zip(declared, shape):
+            if isinstance(axis, str) and sizes.setdefault(axis, (size, f.name))[0] != size:
+                raise ValueError(
+                    f"{owner}.{f.name}: shape {shape} has {size} {axis}, {sizes[axis][1]} has {sizes[axis][0]}"
+                )

@@ -22,8 +22,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from rvjax._reducer.plausible import checked
 from rvjax.base.fields import fit
+from rvjax.catalogue import checked
 from rvjax.designs import RVReducer, expect
 from rvjax.dynamics.assembly import Lumped, admitted, circle, loaded, lump
 from rvjax.dynamics.excitation import constants, in_phase

@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._reducer.plausible import checked
 from rvjax.base.words import choose
+from rvjax.catalogue import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.error_balance import balance
 from rvjax.dynamics.error_excitation import Case, Orders, Unit, case_of, error_orders, generators, read

@@ -19,7 +19,7 @@ import numpy as np
 from rvjax._jax.elementary import root
 from rvjax._jax.kernels import folded, fori_loop
 from rvjax._jax.sizes import LINES
-from rvjax._reducer.plausible import checked
+from rvjax.catalogue import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped
 from rvjax.dynamics.error_excitation import Case, Orders, case_of, error_orders, generators, read

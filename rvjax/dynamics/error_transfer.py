@@ -16,9 +16,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._reducer.plausible import checked
 from rvjax.base.fields import axis_sizes
 from rvjax.base.words import unknown
+from rvjax.catalogue import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted, loaded
 from rvjax.dynamics.error_excitation import Case, Orders, Unit, case_of, error_orders, generators, read, symmetric

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.kernels import scan
-from rvjax._reducer.plausible import checked
+from rvjax.catalogue import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted, lump, spring_table
 from rvjax.dynamics.excitation import MESH, OUTPUTS, check_stage, mesh_frequency, mesh_phases, output_indices

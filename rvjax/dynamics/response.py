@@ -10,8 +10,8 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from rvjax._reducer.plausible import checked
 from rvjax.base.words import choose
+from rvjax.catalogue import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted, lump
 from rvjax.dynamics.excitation import (

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.kernels import fori_loop
-from rvjax._reducer.plausible import checked
+from rvjax.catalogue import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted, deflections, lump, spring_stiffness, spring_table
 from rvjax.dynamics.symmetry import is_symmetric, sector, sector_rows, sector_stiffness

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.elementary import LARGEST_ANGLE, sin_cos
-from rvjax._reducer.plausible import checked
 from rvjax.base.words import choose, unknown
+from rvjax.catalogue import checked
 from rvjax.four_bar import closures
 from rvjax.records import Array, Record, Scalar, concrete, field, promote, quantity, record
 from rvjax.status import SolveInfo, Status, admit, window

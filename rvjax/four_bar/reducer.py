@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.elementary import arctan2, sin_cos
-from rvjax._reducer.plausible import checked
 from rvjax.base.words import unknown
+from rvjax.catalogue import checked
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
 from rvjax.four_bar import closures, disc_fit

@@ -1,6 +1,6 @@
 """Geometry of a reducer with cycloid discs, without errors: curvature of the flank, space, size, nominal pressure."""
 
-from rvjax._reducer.flank import (
+from rvjax.flank import (
     curvature as curvature,
     least_convex_radius as least_convex_radius,
     relative_radius as relative_radius,

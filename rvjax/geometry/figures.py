@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._reducer.plausible import checked
+from rvjax.catalogue import checked
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import InvoluteStage, RVReducer, expect
 from rvjax.geometry.ring import Figures as Figures, harmless, material, of_ring, of_steel, root, squared_pressure

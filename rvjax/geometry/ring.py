@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._reducer.flank import Ground, modified, relative_radius
 from rvjax.designs import Contact, CycloidStage
+from rvjax.flank import Ground, modified, relative_radius
 from rvjax.records import Array, PyTree, Record, Scalar, field, record
 from rvjax.status import Gate, SolveInfo, Status
 

@@ -14,9 +14,9 @@ from rvjax._jax.elementary import log, nonnegative, power
 from rvjax._jax.kernels import scan
 from rvjax._jax.programs import quick
 from rvjax._jax.sizes import LOADS, padded
-from rvjax._reducer.bearings import RollerBearing
-from rvjax._reducer.plausible import checked
 from rvjax.base.words import choose
+from rvjax.bearings import RollerBearing
+from rvjax.catalogue import checked
 from rvjax.designs import expect
 from rvjax.life.damage import (
     LIFE,

@@ -14,7 +14,7 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from rvjax._jax.elementary import power
-from rvjax._reducer.bearings import RollerBearing
+from rvjax.bearings import RollerBearing
 from rvjax.designs import expect
 from rvjax.records import concrete, promote, quantity
 from rvjax.status import Check, Status

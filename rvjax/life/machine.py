@@ -14,8 +14,8 @@ import numpy as np
 
 from rvjax import status
 from rvjax._jax.elementary import power
-from rvjax._reducer.bearings import Bearings, RollerBearing
 from rvjax.base.fields import fit
+from rvjax.bearings import Bearings, RollerBearing
 from rvjax.errors import Errors
 from rvjax.life.bearing import Looseness, check_method, damaged
 from rvjax.life.damage import WEIBULL, Damage, basic, check_ratings, harmless, magnitude, ratings, unfit

@@ -16,8 +16,8 @@ import numpy as np
 
 from rvjax._jax.kernels import while_loop
 from rvjax._jax.programs import quick
-from rvjax._reducer.bearings import Bearings
-from rvjax._reducer.plausible import checked
+from rvjax.bearings import Bearings
+from rvjax.catalogue import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors

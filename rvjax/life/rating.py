@@ -9,7 +9,7 @@ import numpy as np
 
 from rvjax._jax.elementary import power
 from rvjax._jax.programs import quick
-from rvjax._reducer.plausible import checked
+from rvjax.catalogue import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors

@@ -21,8 +21,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.kernels import fori_loop
-from rvjax._reducer.flank import Ground
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
+from rvjax.flank import Ground
 from rvjax.loaded.geometry import Geometry, Turn, geometry, highest, pin_depths
 from rvjax.records import Scalar, promote
 from rvjax.status import SolveInfo, Status, admit, converged

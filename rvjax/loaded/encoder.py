@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.programs import quick
-from rvjax._reducer.plausible import checked
+from rvjax.catalogue import checked
 from rvjax.designs import RVReducer, expect
 from rvjax.loaded.equilibrium import Loaded
 from rvjax.loaded.geometry import Geometry, Turn, geometry, turn

@@ -15,9 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.elementary import sin_cos
-from rvjax._reducer.flank import Ground, curvature, modified, profile
 from rvjax.designs import CycloidStage, RVReducer
 from rvjax.errors import RVErrors
+from rvjax.flank import Ground, curvature, modified, profile
 from rvjax.records import PyTree, Scalar, promote
 from rvjax.status import SolveInfo, Status, admit, converged
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from rvjax._jax.kernels import scan
 from rvjax._jax.programs import quick
-from rvjax._reducer.plausible import checked
+from rvjax.catalogue import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.kernels import scan
-from rvjax._reducer.plausible import checked
+from rvjax.catalogue import checked
 from rvjax.records import Array, PyTree, Record, Scalar, concrete, field, promote, quantity, record
 
 

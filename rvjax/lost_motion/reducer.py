@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 
 from rvjax._jax.elementary import nonnegative
-from rvjax._reducer.plausible import checked
 from rvjax.base.words import choose
+from rvjax.catalogue import checked
 from rvjax.designs import CycloidStage, RVReducer, expect
 from rvjax.errors import RVErrors, read_by
 from rvjax.lost_motion import flank as flanks

@@ -20,8 +20,8 @@ from jax.typing import DTypeLike
 from rvjax._jax.elementary import LARGEST_ANGLE
 from rvjax._jax.kernels import BatchedKernel, along_lanes
 from rvjax._jax.sizes import ROLLER_CASES
-from rvjax._reducer.plausible import checked
 from rvjax.base.words import choose
+from rvjax.catalogue import checked
 from rvjax.designs import CamRollerReducer, expect
 from rvjax.errors import CamRollerErrors
 from rvjax.mesh_force import geometry, laws, line_contact

@@ -17,7 +17,7 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from rvjax._jax.elementary import sin_cos
-from rvjax._reducer.plausible import checked
+from rvjax.catalogue import checked
 from rvjax.designs import CamRollerReducer, expect
 from rvjax.errors import CamRollerErrors
 from rvjax.mesh_force import line_contact

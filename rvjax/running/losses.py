@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.programs import quick
-from rvjax._reducer.plausible import checked
+from rvjax.catalogue import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import Friction, RVReducer
 from rvjax.errors import RVErrors

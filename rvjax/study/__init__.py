@@ -1,7 +1,6 @@
 """Studies: design, tolerances, costs and requirements, in Python or as a TOML file."""
 
-from rvjax._reducer.plausible import KNOWN_DESIGNS, numbers, shown, walk as walk
-from rvjax.catalogue import BASES
+from rvjax.catalogue import BASES, KNOWN_DESIGNS, numbers, shown, walk as walk
 from rvjax.measured import Conditions, Loop, Measured, Run, read as read_measured
 from rvjax.study.bench import order_name
 from rvjax.study.design import comments as comments, given_numbers as given_numbers, is_assumed as is_assumed

@@ -5,8 +5,7 @@ import re
 from collections.abc import Callable, Iterator
 
 from rvjax import catalogue, models
-from rvjax._reducer.plausible import walk
-from rvjax.catalogue import BASES, part_class
+from rvjax.catalogue import BASES, part_class, walk
 from rvjax.designs import InvoluteStage
 from rvjax.records import PyTree, Record
 from rvjax.study.kinds import kind_of, number_at

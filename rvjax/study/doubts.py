@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rvjax._reducer.plausible import doubt, doubtful, shown, steep, undercut
+from rvjax.catalogue import doubt, doubtful, shown, steep, undercut
 from rvjax.errors import described
 from rvjax.outputs import Output
 from rvjax.records import Design, PyTree

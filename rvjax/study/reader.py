@@ -6,7 +6,7 @@ from importlib import resources
 from pathlib import Path
 
 from rvjax import models
-from rvjax._reducer.deviations import remind_of_precision
+from rvjax._jax.checks import remind_of_precision
 from rvjax.base.sections import Reader, reader as sections_reader
 from rvjax.base.words import meant
 from rvjax.records import Design, PyTree

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from rvjax import models
-from rvjax._reducer.plausible import accept
 from rvjax.base.words import unknown
+from rvjax.catalogue import accept
 from rvjax.levels import Choice, choose
 from rvjax.outputs import Curve, Output
 from rvjax.records import PyTree, Scalar

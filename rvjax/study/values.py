@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from rvjax._reducer.plausible import shown
 from rvjax.base.words import UnknownWord, choose, unknown
+from rvjax.catalogue import shown
 from rvjax.records import PyTree
 from rvjax.units import KNOWN, parse, point_for, with_unit
 

@@ -7,8 +7,8 @@ from typing import Any
 
 from rvjax import study
 from rvjax._jax.solved_state import moving
-from rvjax._reducer.plausible import steep
 from rvjax.base.files import versions
+from rvjax.catalogue import steep
 from rvjax.commands.allocate import stored_result
 from rvjax.commands.console import READING, WRITING, share_cores
 from rvjax.commands.design import sliders

@@ -1,6 +1,6 @@
 """Oscillatory roller reducers."""
 
-from rvjax._reducer.plausible import shown
+from rvjax.catalogue import shown
 from rvjax.designs import CamRollerReducer
 from rvjax.mesh_force import largest_roller_radius, undercut_margin
 from rvjax.study.kinds.kind import Kind, Start

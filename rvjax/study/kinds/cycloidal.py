@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator
 from operator import attrgetter
 from typing import Any
 
-from rvjax._reducer.plausible import sharp_from, shown
+from rvjax.catalogue import sharp_from, shown
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.mounting import unit_errors
 from rvjax.records import Scalar

@@ -3,7 +3,7 @@
 from operator import attrgetter
 from typing import Any
 
-from rvjax._reducer.plausible import shown
+from rvjax.catalogue import shown
 from rvjax.designs import RVReducer
 from rvjax.mounting import unit_errors
 from rvjax.study.kinds.kind import Drawing, Kind

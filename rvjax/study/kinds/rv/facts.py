@@ -15,8 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.programs import ONCE, quick
-from rvjax._reducer.plausible import sharp_from, shown
-from rvjax.catalogue import BASES
+from rvjax.catalogue import BASES, sharp_from, shown
 from rvjax.designs import InvoluteStage, RollerBearing, RVReducer
 from rvjax.geometry import contact_ratio
 from rvjax.life import dynamic_rating, static_rating

@@ -11,8 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from rvjax._reducer.plausible import shown
-from rvjax.catalogue import ASSUMED, RV_40E_WHOLE
+from rvjax.catalogue import ASSUMED, RV_40E_WHOLE, shown
 from rvjax.designs import InvoluteStage, RollerBearing, RVReducer
 from rvjax.life import static_rating
 from rvjax.population import it_width

@@ -1,1 +1,0 @@
-"""Private parts of the description of a reducer: error metadata, crank bearings, the flank, plausible ranges."""
