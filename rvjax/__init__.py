@@ -8,8 +8,6 @@ part tolerances into the distribution of a response and a required yield into th
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from rvjax.base import sections as _sections
-
 if TYPE_CHECKING:
     from rvjax import catalogue, plotting, units
     from rvjax.cycloidal import CycloidalErrors, CycloidalReducer, CycloidalStiffness, OutputPins
@@ -82,10 +80,6 @@ def __getattr__(name: str) -> Any:
     if home is None:
         return importlib.import_module(f"rvjax.{name}")
     return getattr(importlib.import_module(f"rvjax.{home}"), name)
-
-
-# Commands read tables of their own in study files; importing them here would be a look upwards from `study`.
-_sections.LOOKUPS.append(lambda table: importlib.import_module("rvjax.commands.run").section(table))
 
 
 def __dir__() -> list[str]:

@@ -5,6 +5,8 @@ import re
 from collections.abc import Sequence
 from decimal import Decimal
 
+import numpy as np
+
 from rvjax.units import with_unit
 
 LARGEST, SMALLEST = 1e12, 1e-100  # in any unit: beyond every size of a part, below every rounding error of a zero
@@ -107,3 +109,21 @@ def _usual(cell: str, comma: bool, grouping: str) -> str:
     if mark and re.fullmatch(_GROUPS[mark], text):
         text = text.replace(mark, "").replace(",", ".")
     return text.replace(",", ".") if comma else text
+
+
+def svd(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Left vectors, singular values and right vectors of a matrix.
+
+    The fast driver of LAPACK fails for some matrices whose singular values are equal, such as orders over whole turns;
+    the other one is slower and always converges.
+
+    Args:
+        matrix: (n, p).
+    """
+    try:
+        left, size, right = np.linalg.svd(matrix, full_matrices=False)
+    except np.linalg.LinAlgError:
+        from scipy import linalg
+
+        left, size, right = linalg.svd(matrix, full_matrices=False, lapack_driver="gesvd")
+    return left, size, right

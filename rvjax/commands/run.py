@@ -5,10 +5,10 @@ The module of a command is imported when it is first used.
 
 import importlib
 import json
+from collections.abc import Callable, Mapping
 from types import ModuleType
 
 from rvjax.base import progress
-from rvjax.base.sections import Reader
 from rvjax.base.words import terminal_width, wrapped
 from rvjax.commands.console import EXIT_NO_ANSWER, EXIT_OK, READING, WRITING, say
 from rvjax.commands.inputs import Inputs
@@ -45,7 +45,7 @@ def inputs_of(name: str) -> type[Inputs]:
     return getattr(module(name), f"{name.capitalize()}Inputs")
 
 
-def section(table: str) -> Reader | None:
+def section(table: str) -> Callable[[Mapping[str, object], object], object] | None:
     """The function (table, study) -> value that reads a table of study files, None where no command reads it."""
     name = TABLES.get(table)
     return None if name is None else module(name).section

@@ -13,9 +13,9 @@ from markupsafe import Markup, escape
 import rvjax
 from rvjax.base.files import versions
 from rvjax.render import quantity
-from rvjax.render.content import Block, Note, Section
-from rvjax.render.figure import Figure
-from rvjax.render.table import PAGE, Table
+from rvjax.render.content import Block, Figure, Note, Section
+from rvjax.render.quantity import PAGE
+from rvjax.render.table import Table
 
 
 def page(template: str, values: Mapping[str, object]) -> str:

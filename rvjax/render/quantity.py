@@ -1,8 +1,13 @@
-"""Quantities: numbers with an SI unit, and the text that a person reads of them."""
+"""Cells of tables: numbers with an SI unit, and columns, which turn a cell into one text and into numbers.
 
+None is the cell of a number that does not exist.
+"""
+
+import dataclasses
 import math
 import re
 from dataclasses import dataclass
+from typing import Any
 
 from rvjax.base.frames import Interval
 from rvjax.records import Scalar
@@ -124,3 +129,154 @@ def number(value: Scalar | None, size: float = 1.0) -> float | None:
         return None
     found = float(value) / size
     return float(f"{found:.10g}") if math.isfinite(found) else None
+
+
+TEXT, CSV, PAGE = "text", "csv", "page"
+EVERYWHERE = frozenset((TEXT, CSV, PAGE))
+"""Media of a report: the terminal, a file of numbers, the HTML page."""
+
+Value = str | float | None
+Cell = Any  # what the column of the cell can show: words, numbers, quantities, pairs of these
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of any values: words, numbers as they are, quantities.
+
+    Attributes:
+        title: header.
+        missing: text of a cell without a value.
+        on: where the column is shown.
+        file_title: header in the CSV file; None: the title.
+        wraps: cells are prose: page and terminal may break them into lines.
+    """
+
+    title: str
+    missing: str = "-"
+    on: frozenset[str] = EVERYWHERE
+    file_title: str | None = None
+    wraps: bool = False
+
+    @property
+    def narrow(self) -> int:
+        """Characters to which cells may be broken where a table is too wide; 0: they may not."""
+        return 20 if self.wraps else 0
+
+    def text(self, cell: Cell) -> str:
+        """Text of the cell; words are not changed, also in a column of numbers."""
+        if isinstance(cell, str):
+            return cell
+        return self.missing if cell is None else self._said(cell)
+
+    def headers(self) -> list[str]:
+        """Headers in a CSV file."""
+        return [self.title if self.file_title is None else self.file_title]
+
+    def values(self, cell: Cell) -> list[Value]:
+        """The cell in a CSV file, a value for each header."""
+        return [None] * len(self.headers()) if cell is None or cell == "" else self._given(cell)
+
+    def _said(self, cell: Cell) -> str:
+        return cell.text() if isinstance(cell, Quantity) else str(cell)
+
+    def _given(self, cell: Cell) -> list[Value]:
+        return list(cell.numbers()[:1]) if isinstance(cell, Quantity) else [cell]
+
+
+class Titled(str):
+    """A word with a remark, which the page shows in small letters below it."""
+
+    remark: str
+
+    def __new__(cls, word: str, remark: str) -> "Titled":
+        """A word and its remark."""
+        made = super().__new__(cls, word)
+        made.remark = remark
+        return made
+
+
+@dataclass(frozen=True)
+class Text(Column):
+    """A column of words."""
+
+
+@dataclass(frozen=True)
+class Number(Column):
+    """A column of numbers in SI with one `unit`, read in `read_in` and written as `form`; or of quantities.
+
+    The text of a plain number has no unit: the title names it. Quantities have theirs unless `named` is False.
+    """
+
+    form: str = ".4g"
+    unit: str = "-"
+    read_in: str | None = None
+    named: bool = True
+
+    def _quantity(self, cell: Cell) -> Quantity:
+        return cell if isinstance(cell, Quantity) else Quantity(float(cell), self.unit, read_in=self.read_in)
+
+    def _said(self, cell: Cell) -> str:
+        return self._quantity(cell).text(self.form, named=self.named and isinstance(cell, Quantity))
+
+    def _given(self, cell: Cell) -> list[Value]:
+        if self.unit == "-" and not isinstance(cell, Quantity):  # nothing to convert: all digits
+            return [float(cell) if math.isfinite(cell) else None]
+        return list(self._quantity(cell).numbers()[:1])
+
+
+@dataclass(frozen=True)
+class Share(Number):
+    """A column of shares: parts of one in SI and in a file, percent in the text."""
+
+    form: str = ".1f"
+
+    def _said(self, cell: Cell) -> str:
+        return f"{100 * float(cell):{self.form}} %"
+
+
+@dataclass(frozen=True)
+class Interval(Number):
+    """A column of quantities with intervals: value, lower end and upper end in a file.
+
+    `ends` are the formats of the headers of both ends in the file.
+    """
+
+    ends: tuple[str, str] = ("{}, lower end", "{}, upper end")
+
+    def headers(self) -> list[str]:
+        """Headers in a CSV file."""
+        (title,) = super().headers()
+        return [title, *(end.format(title) for end in self.ends)]
+
+    def _said(self, cell: Cell) -> str:
+        return self._quantity(cell).text(self.form, named=self.named)
+
+    def _given(self, cell: Cell) -> list[Value]:
+        return list(self._quantity(cell).numbers())
+
+
+@dataclass(frozen=True)
+class Limits(Column):
+    """A column of limits of errors (`Zone`); in a file both ends, and the number of the drawing where it has one."""
+
+    @property
+    def narrow(self) -> int:
+        """The words of a drawing and its number may be on two lines."""
+        return 18
+
+    def headers(self) -> list[str]:
+        """Headers in a CSV file."""
+        return [f"{part} {self.title}" for part in ("lower", "upper", "drawing")]
+
+    def _given(self, cell: Zone) -> list[Value]:
+        return [*cell.numbers()[1:], number(cell.drawn, cell.shown[1])]
+
+
+def column(shown: Column, default: Cell = "") -> Any:
+    """A field of a row record: a dataclass whose fields are the columns of a table.
+
+    Args:
+        shown: title, unit, digits.
+        default: cell of a row without a value.
+    """
+    return dataclasses.field(default=default, metadata={"column": shown})

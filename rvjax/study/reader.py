@@ -1,13 +1,13 @@
 """Studies read from TOML with units in strings; an error is one line that names key, value and unit."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+import importlib
+from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 
 from rvjax import models
 from rvjax._jax.checks import remind_of_precision
-from rvjax.base.sections import Reader, reader as sections_reader
 from rvjax.base.words import meant
 from rvjax.records import Design, PyTree
 from rvjax.running import OF_JOINT
@@ -32,6 +32,8 @@ TABLES = {"about", "accuracy", "columns", "conditions", "cost", "design", "ident
 TABLES |= {"loss", "objective", "requirement", "run", "tolerances", "variable"}
 RUN = {"seed": (0, 2**32 - 1), "samples": (FEWEST, 2**32), "certificate_samples": (16, 2**32)}
 """Least and largest value of each integer of the table [run]."""
+Reader = Callable[[Mapping[str, object], Study], object]
+"""Reads a table that only one command has."""
 EMBEDDED = resources.files("rvjax.study") / "embedded"
 
 
@@ -106,13 +108,19 @@ def parse_study(
 
 def _sections(tables: Mapping[str, PyTree], needs: Sequence[str] | None) -> dict[str, Reader]:
     """Readers of the tables of commands; raises ValueError for an unknown table, or for one that is missing."""
-    sections = {table: read for table in tables if table not in TABLES and (read := sections_reader(table))}
+    sections = {table: read for table in tables if table not in TABLES and (read := _of_command(table))}
     known(tables, TABLES | set(sections) | models.tables(), "")
     usual = ("design", "tolerances", *(() if "identify" in tables else ("requirement",)))
     for key in usual if needs is None else needs:
         if not subtable(tables, key):
             raise ValueError(f"[{key}] is missing or empty")
     return sections
+
+
+def _of_command(table: str) -> Reader | None:
+    """Reader of a table; by the name of its module, because an import would be a look upwards."""
+    read: Reader | None = importlib.import_module("rvjax.commands.run").section(table)
+    return read
 
 
 def _study(name: str, text: str, folder: Path, tables: Mapping[str, PyTree]) -> Study:

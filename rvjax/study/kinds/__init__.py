@@ -1,9 +1,12 @@
-"""Descriptions of the kinds of reducers, one file or folder for each."""
+"""Descriptions of the kinds of reducers, one file or folder for each; of oscillatory roller reducers in this one."""
 
 from collections.abc import Collection, Iterable, Mapping
 
+from rvjax.catalogue import shown
+from rvjax.designs import CamRollerReducer
+from rvjax.mesh_force import largest_roller_radius, undercut_margin
 from rvjax.records import PyTree, Scalar
-from rvjax.study.kinds import cam_roller, cycloidal, rv
+from rvjax.study.kinds import cycloidal, rv
 from rvjax.study.kinds.following import (
     Law as Law,
     fields_of as fields_of,
@@ -16,7 +19,24 @@ from rvjax.study.kinds.kind import Assumed as Assumed, Drawing as Drawing, Kind 
 
 __all__ = ["KINDS", "Kind", "changed", "facts_of", "kind_of", "orders_of"]
 
-KINDS: dict[type, Kind] = {kind.design: kind for kind in (rv.KIND, cam_roller.KIND, cycloidal.KIND)}
+
+def _roller_doubts(design: CamRollerReducer) -> list[str]:
+    """A line for rollers that cut into the flank of the inner gear."""
+    if undercut_margin(design) > 0:
+        return []
+    radius, limit = (shown(float(r), "m") for r in (design.roller_radius, largest_roller_radius(design)))
+    return [f"design.roller_radius = {radius}: rollers from {limit} on cut into the flank of the inner gear (undercut)"]
+
+
+_CAM_ROLLER = Kind(
+    design=CamRollerReducer,
+    name="an oscillatory roller reducer",
+    facts=lambda design: [("rollers", str(design.gear_teeth + 1))],
+    doubts=_roller_doubts,
+    starts={"": Start("corr")},
+)
+
+KINDS: dict[type, Kind] = {kind.design: kind for kind in (rv.KIND, _CAM_ROLLER, cycloidal.KIND)}
 """By the class of the design. A new kind of reducer is a module here, and its `KIND` in this tuple."""
 
 
