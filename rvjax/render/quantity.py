@@ -9,7 +9,7 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
-from rvjax.base.frames import Interval
+from rvjax.base.frames import Interval as Estimate
 from rvjax.records import Scalar
 from rvjax.units import readable
 
@@ -35,7 +35,7 @@ class Quantity:
     form: str | None = None
 
     @classmethod
-    def of(cls, estimate: Interval, unit: str = "-", read_in: str | None = None, form: str | None = None) -> "Quantity":
+    def of(cls, estimate: Estimate, unit: str = "-", read_in: str | None = None, form: str | None = None) -> "Quantity":
         """The quantity of an estimate: anything with value, lower and upper.
 
         Args:
