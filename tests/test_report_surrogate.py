@@ -142,7 +142,7 @@ def test_the_thinned_sample_keeps_the_tails():
         assert np.abs(guesses - beyond.sum()).max() < 5 * spread
 
 
-def test_units_that_fail_at_one_end_go_on_from_the_other():
+def test_units_that_fail_in_the_region_leave_finite_columns():
     def failing(errors):
         y = linear(errors)["y"]
         return {"y": jnp.where(y > 15e-6, jnp.nan, y)}
@@ -174,7 +174,7 @@ costly_linear.costly = costly_bent.costly = True  # type: ignore[attr-defined]
 
 def test_a_costly_linear_response_is_met_by_the_derivatives_alone():
     found = response_surface.surrogate(made(costly_linear, 14e-6), **FEW)
-    assert len(found.weights) == region.COSTLY_UNITS and found.compared == "own"
+    assert len(found.weights) == response_surface.COSTLY_UNITS and found.compared == "own"
     assert set(found.columns["y"]) == {(k,) for k in range(6)}
     values = direct(found, linear)
     np.testing.assert_allclose(found.values("y", X), values, atol=1e-9 * np.abs(values).max())
@@ -190,7 +190,7 @@ def test_costly_units_are_solved_once_for_all_outputs(monkeypatch):
     given = made(both, 6.0, z=14e-6)
     solved.clear()
     found = response_surface.surrogate(given, **FEW)
-    assert solved == [region.COSTLY_UNITS] * (2 + region.PLACES) + [response_surface.COMPARED] * FEW["points"]
+    assert solved == [response_surface.COSTLY_UNITS] * (2 + region.PLACES) + [response_surface.COMPARED] * FEW["points"]
     alone = response_surface.surrogate(made(costly_linear, 14e-6), **FEW)
     for k, parameter in enumerate(found.parameters):
         if parameter.place:  # the derivatives of two outputs stay apart
@@ -213,7 +213,7 @@ def test_a_failed_unit_does_not_change_the_regression_of_the_others():
     base = rng.standard_normal(400)
     changes = [(rise * x).sum(0) + 0.3 * x[0] ** 2 for x in places]
     base[7], changes[0][7], changes[1][7], changes[1][9] = np.nan, np.nan, np.nan, np.inf
-    found = region._corrected(base, rise, places, changes)
+    found = region._regressed(base, rise, places, changes)
     np.testing.assert_allclose(found[0, 0], 0.3, atol=2e-3)
     np.testing.assert_allclose(found[1,], rise[1], atol=1e-2)
 

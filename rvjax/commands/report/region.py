@@ -1,35 +1,34 @@
-"""Responses of a sample of units at points of a region round the allocated tolerances, and functions through them.
+"""Quadratic regression of responses on parameters of the tolerances, near the allocated ones.
 
-Slopes and bends of a costly output: derivatives of exact units, corrected by a regression on units at random points.
+With the derivatives g_ik of unit i at x = 0 and u_k = g_ik x_k, its response is
 
-    y_i(x) = y_i(0) + sum_k (1 + a_k) g_ik x_k + sum_k (b_k + c_k |g_ik|) x_k^2
+    y_i(x) = y_i(0) + sum_k (1 + a_k) u_k + sum_k (b_k + c_k |g_ik|) x_k^2 + sum_{j < k} d_jk u_j u_k.
 
-The derivatives g_ik are those of unit i at x = 0. The factors a, b and c are common to all units, by least squares on
-the same units at other places of the region: two random places and one where all half-widths move together.
+The factors a, b, c and d are common to all units, by least squares on the same units at other places of the region:
+two random places and one where all half-widths move together. A linear response is exact.
 """
 
-import dataclasses
 import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.sizes import calls
 from rvjax.population import Population, Tolerance
-from rvjax.response import BLOCK, Part, elements, is_costly, respond
+from rvjax.response import Part, elements
 
-COSTLY_UNITS = 768  # three calls of the gradients' program
 PLACES = 2  # random ones of each unit
-_RIDGE = 1e-4  # of the number of equations, in units of the standard deviation
+FELT = 2e-3  # of a standard deviation: columns that move no unit by more, root mean square, are left out
+_RIDGE = 1e-4, 1e-3  # of the number of equations, in units of the standard deviation: of a, b and c; of d
 
 Columns = dict[tuple[int, ...], np.ndarray]
 """(k,): slopes, (j, k): bends, each (units,) in the unit of the response."""
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Parameter:
     """A half-width, or the place of the limits of an error: mid-point, or lower limit where the distribution begins.
 
@@ -46,7 +45,7 @@ class Parameter:
     reach: float
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Sample:
     """Units with the same random numbers at every point of the region; their errors are linear in x.
 
@@ -126,124 +125,44 @@ class Sample:
         return np.nan_to_num(np.stack(found), posinf=0.0, neginf=0.0)
 
 
-def regressed(part: Part, sample: Sample) -> tuple[dict[str, np.ndarray], dict[str, Columns]]:
-    """Values (units,) at x = 0 and slopes and bends, each by output.
+def fitted(parts: Sequence[Part], sample: Sample) -> tuple[dict[str, np.ndarray], dict[str, Columns]]:
+    """Values (units,) at x = 0, nan where a unit failed, and slopes and bends, each by output.
 
     Args:
-        part: costly outputs.
+        parts: outputs that are solved together.
         sample: of units.
     """
-    base, _, state = part.of_elements(sample.population, sample.here)
-    seen = [part.of_elements(sample.population, errors)[0] for _, errors in sample.places]
-    values_by_name, columns = {}, {}
-    for number, name in enumerate(part.names):
-        weights = np.zeros((len(part.names), sample.z.shape[1]))
-        weights[number] = 1.0
-        rise = sample.rise(part.slopes_of_elements(sample.population, sample.here, state, weights))
-        rest = [row[number] - base[number] for row in seen]
-        values_by_name[name] = base[number]
-        columns[name] = _corrected(base[number], rise, [x for x, _ in sample.places], rest)
-    return values_by_name, columns
+    values, columns = dict[str, np.ndarray](), dict[str, Columns]()
+    for part in parts:
+        base, _, state = part.of_elements(sample.population, sample.here)
+        seen = [part.of_elements(sample.population, errors)[0] for _, errors in sample.places]
+        for number, name in enumerate(part.names):
+            weights = np.zeros(base.shape)
+            weights[number] = 1.0
+            rise = sample.rise(part.slopes_of_elements(sample.population, sample.here, state, weights))
+            rest = [row[number] - base[number] for row in seen]
+            values[name] = base[number]
+            columns[name] = _regressed(base[number], rise, [x for x, _ in sample.places], rest)
+    return values, columns
 
 
-def _corrected(base: np.ndarray, rise: np.ndarray, places: list[np.ndarray], rest: list[np.ndarray]) -> Columns:
+def _regressed(base: np.ndarray, rise: np.ndarray, places: list[np.ndarray], rest: list[np.ndarray]) -> Columns:
     """Columns of one output: its derivatives `rise` (p, units), and its changes `rest` at the places."""
     sd, count = float(base[np.isfinite(base)].std()) or 1.0, len(rise)
-    terms = [np.concatenate([rise * x / sd, x**2, np.abs(rise) * x**2 / sd]) for x in places]
+    pairs = list(itertools.combinations(range(count), 2))
+    first, second = np.array(pairs, int).reshape(-1, 2).T
+    terms = []
+    for x in places:
+        along = rise * x / sd
+        terms.append(np.concatenate([along, x**2, np.abs(rise) * x**2 / sd, along[first] * along[second]]))
     rows = np.concatenate(terms, axis=1)
     target = np.concatenate([(change - (rise * x).sum(0)) / sd for change, x in zip(rest, places)])
     good = np.isfinite(target)
     rows, target = rows[:, good], target[good]
-    a, b, c = np.linalg.solve(rows @ rows.T + _RIDGE * len(target) * np.eye(len(rows)), rows @ target).reshape(3, count)
-    found: Columns = {(k,): (1 + a[k]) * rise[k] for k in range(count)}
-    return found | {(k, k): sd * b[k] + c[k] * np.abs(rise[k]) for k in range(count)}
-
-
-_KNOWN = 0.01  # of a standard deviation: a smaller misfit at a probe needs no mixed bends
-FELT = 2e-3  # of a standard deviation: columns that move no unit by more, root mean square, are left out
-_MIXED = 12  # parameters of a response, the strongest, that get mixed bends
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Region:
-    """Responses of chosen units at points of the region, and the quadratic functions through them.
-
-    Attributes:
-        part: outputs.
-        sample: of units.
-    """
-
-    part: Part
-    sample: Sample
-
-    def at(
-        self, x: np.ndarray, units: np.ndarray | None = None, errors: np.ndarray | None = None
-    ) -> dict[str, np.ndarray]:
-        """Responses (units,), nan where one failed.
-
-        Args:
-            x: parameters (p,) in reaches.
-            units: their numbers; by default all.
-            errors: of these units at x (elements, units), where the caller has them.
-        """
-        if is_costly(self.part.response):
-            errors = self.sample.errors(x, units) if errors is None else errors
-            return dict(zip(self.part.names, self.part.of_elements(self.sample.population, errors)[0]))
-        population, z = self.sample.at(x), self.sample.z
-        lanes = [jnp.asarray(z[:, some]) for some in calls(z.shape[1], BLOCK)]
-        found = [respond(self.part.response, population, some)[0] for some in lanes]
-        values = {
-            n: np.concatenate([np.asarray(each[n], float) for each in found])[: z.shape[1]] for n in self.part.names
-        }
-        return {name: column[... if units is None else units] for name, column in values.items()}
-
-    def fitted(self) -> tuple[dict[str, np.ndarray], dict[str, Columns]]:
-        """Values as allocated, and slopes and bends by response."""
-        base, columns = regressed(self.part, self.sample) if is_costly(self.part.response) else self._quadratic()
-        felt = {
-            name: {key: c for key, c in own.items() if np.sqrt(np.mean(c**2)) > FELT * (np.nanstd(base[name]) or 1.0)}
-            for name, own in columns.items()
-        }
-        return base, felt
-
-    def _quadratic(self) -> tuple[dict[str, np.ndarray], dict[str, Columns]]:
-        """The quadratic functions through the responses at both ends of each parameter, and of pairs."""
-        names, count = self.part.names, len(self.sample.parameters)
-        unit = np.eye(count)
-        base = self.at(np.zeros(count))
-        ends = [(self.at(row), self.at(-row)) for row in unit]
-        columns: dict[str, Columns] = {name: {} for name in names}
-        for name, (k, (up, down)) in itertools.product(names, enumerate(ends)):
-            # A unit that fails at one end goes on as from the other; where it fails at both, nothing is known.
-            rise = np.where(np.isnan(up[name]), base[name] - down[name], up[name] - base[name])
-            fall = np.where(np.isnan(down[name]), rise, base[name] - down[name])
-            rise, fall = np.nan_to_num(rise), np.nan_to_num(fall)
-            columns[name] |= {(k,): (rise + fall) / 2, (k, k): (rise - fall) / 2}
-        spread = {name: float(base[name].std()) or 1.0 for name in names}
-        pairs = self._pairs(base, columns, spread)
-        for i, k in sorted(set().union(*pairs.values())):
-            both, against = self.at(unit[i] + unit[k]), self.at(-unit[i] - unit[k])
-            for name in (name for name in names if (i, k) in pairs[name]):
-                seen = both[name] + against[name] - 2 * base[name]
-                alone = 2 * (columns[name][i, i] + columns[name][k, k])
-                columns[name][i, k] = np.nan_to_num((seen - alone) / 2)
-        return base, columns
-
-    def _pairs(
-        self, base: dict[str, np.ndarray], columns: dict[str, Columns], spread: dict[str, float]
-    ) -> dict[str, set[tuple[int, int]]]:
-        """Pairs of parameters whose mixed bends each response needs: none where the sum of the single ones will do."""
-        width = np.array([0.0 if p.place else 1.0 for p in self.sample.parameters])
-        probes = [width, (1 - width) * 0.5 + width * np.where(np.arange(len(width)) % 4 < 2, 1.0, -1.0)]
-        seen, found = [self.at(x) for x in probes], {}
-        for name, own in columns.items():
-            misses = [
-                y[name] - base[name] - sum(c * np.prod(x[list(key)]) for key, c in own.items())
-                for x, y in zip(probes, seen)
-            ]
-            strength = [float(np.sqrt(np.mean(own[k,] ** 2 + own[k, k] ** 2))) for k in range(len(width))]
-            felt = [k for k, size in enumerate(strength) if size > 5 * FELT * spread[name]]
-            strongest = sorted(sorted(felt, key=lambda k: -strength[k])[:_MIXED])
-            bent = max(float(np.sqrt(np.nanmean(miss**2))) for miss in misses) > _KNOWN * spread[name]
-            found[name] = set(itertools.combinations(strongest, 2)) if bent else set()
-        return found
+    ridge = len(target) * np.repeat(_RIDGE, [3 * count, len(pairs)])
+    found = np.linalg.solve(rows @ rows.T + np.diag(ridge), rows @ target)
+    a, b, c, d = np.split(found, [count, 2 * count, 3 * count])
+    made: Columns = {(k,): (1 + a[k]) * rise[k] for k in range(count)}
+    made |= {(k, k): sd * b[k] + c[k] * np.abs(rise[k]) for k in range(count)}
+    made |= {(j, k): factor * rise[j] * rise[k] / sd for (j, k), factor in zip(pairs, d)}
+    return {key: column for key, column in made.items() if np.sqrt(np.mean(column**2)) > FELT * sd}

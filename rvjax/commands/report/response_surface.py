@@ -1,16 +1,14 @@
 """Surrogate of a study near its allocated tolerances: a few numbers for each unit, for the sliders of the page.
 
-A sample of units keeps its random numbers while half-widths and places of the limits move. The response of unit i is
-
-    y_i(x) = y_i(0) + sum_k s_ik x_k + sum_{j <= k} b_ijk x_j x_k,   x_k = (p_k - allocated p_k)/reach_k,
-
-with slopes and bends from responses at x_k = +-1, not from derivatives: they hold over the region |x_k| <= 1 and pass
-over the kinks of extremes. A linear response is exact. Rare rejects need few units in the sample, so it is thinned
-with a chance that grows towards the tails (Horvitz and Thompson 1952) and weighted so that the values at x = 0 are
-those of the certificate (Deville and Sarndal 1992). What is left is measured at points of the region, with fresh units.
+A sample of units keeps its random numbers while half-widths and places of the limits move. Each response is a quadratic
+function of x_k = (p_k - allocated p_k)/reach_k, by a regression over the region |x_k| <= 1 (`region`). Rare rejects
+need few units in the sample, so it is thinned with a chance that grows towards the tails (Horvitz and Thompson 1952)
+and weighted so that the values at x = 0 are those of the certificate (Deville and Sarndal 1992). The error is measured
+at points of the region, with fresh units, or with some of the same units of a costly response.
 """
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -19,12 +17,13 @@ from typing import Any, Self
 import numpy as np
 
 from rvjax.commands.allocate import Answer
-from rvjax.commands.report.region import COSTLY_UNITS, Columns, Parameter, Region, Sample
+from rvjax.commands.report.region import Columns, Parameter, Sample, fitted
 from rvjax.population import Population, root_key
-from rvjax.response import BLOCK, is_costly, numbers_of, parts
+from rvjax.response import BLOCK, Part, is_costly, numbers_of, parts
 from rvjax.tolerances import Estimate, Limits, Statistics, Tolerance, monte_carlo
 
 UNITS = 2048
+COSTLY_UNITS = 768  # three calls of the gradients' program
 REACH = 0.4  # of a half-width: how far it moves within the region, either way
 SHIFT = 0.25  # the same of the place of its limits, in half-widths
 _FLOOR = 0.5  # of the units are sampled evenly, the others from the tails
@@ -155,8 +154,8 @@ def surrogate(
     population = Population.of(side.tolerances)
     z = numbers_of(population, root_key(side.seed), valid[chosen])
     sample = Sample(population, parameters, z, study.seed + 1)
-    designs = [Region(part, sample) for part in parts(response, population)]
-    base, columns = _fits(designs)
+    solved = parts(response, population)
+    base, columns = fitted(solved, sample)
     good = np.isfinite(np.stack([base[name] for name in names])).all(axis=0)
     certificate = answer.allocation.certificate
     failed = certificate.failed / certificate.samples
@@ -166,19 +165,11 @@ def surrogate(
     found = dataclasses.replace(found, weights=weights)
     places = _points(found, study.seed, points)
     if costly:
-        checks = _own_checks(found, answer, designs, good, places)
+        checks = _own_checks(found, answer, solved, sample, np.flatnonzero(good), places)
     else:
         run = partial(monte_carlo, response, samples=fresh, chunk=chunk)
-        checks = _checks(found, answer, designs[0], run, places)
+        checks = _checks(found, answer, sample, run, places)
     return dataclasses.replace(found, checks=tuple(checks))
-
-
-def _fits(regions: Sequence[Region]) -> tuple[dict[str, np.ndarray], dict[str, Columns]]:
-    """Values and functions of all outputs."""
-    base, columns = dict[str, np.ndarray](), dict[str, Columns]()
-    for own_base, own_columns in map(Region.fitted, regions):
-        base, columns = base | own_base, columns | own_columns
-    return base, columns
 
 
 def placed(tolerance: Tolerance) -> float:
@@ -259,12 +250,12 @@ def _calibrated(
 
 
 def _checks(
-    found: Surrogate, answer: Answer, region: Region, run: Callable[..., Statistics], places: Places
+    found: Surrogate, answer: Answer, sample: Sample, run: Callable[..., Statistics], places: Places
 ) -> list[Check]:
     """Compare the surrogate with independent units, at points of the region and at the study if it is near."""
     study, checks, limited = answer.study, [], _limited(answer)
     for where, x in places:
-        tolerances = region.sample.at(x).tolerances
+        tolerances = sample.at(x).tolerances
         true = run(tolerances, seed=study.seed + 3, requirements=study.requirements)
         checks.append(_check(where, found, x, limited, true))
     own = found.place(study.tolerances)
@@ -274,14 +265,15 @@ def _checks(
 
 
 def _own_checks(
-    found: Surrogate, answer: Answer, regions: Sequence[Region], good: np.ndarray, places: Places
+    found: Surrogate, answer: Answer, solved: Sequence[Part], sample: Sample, units: np.ndarray, places: Places
 ) -> list[Check]:
-    """Compare the surrogate with the responses of some of its own units, at points of the region."""
+    """Compare the surrogate with the responses of some of its own `units` of the sample, at points of the region."""
     place = np.arange(0, len(found.weights), -(-len(found.weights) // COMPARED))
-    ours, some, checks = found.of_units(place), np.flatnonzero(good)[place], []
+    ours, checks = found.of_units(place), []
     for where, x in places:
-        errors = regions[0].sample.errors(x, some)
-        exact = {name: row for region in regions for name, row in region.at(x, some, errors).items()}
+        errors = sample.errors(x, units[place])
+        rows = [zip(part.names, part.of_elements(sample.population, errors)[0]) for part in solved]
+        exact = dict(itertools.chain(*rows))
         here = np.isfinite(np.stack(list(exact.values()))).all(axis=0)
         figures = {}
         for name, limits in _limited(answer).items():
