@@ -38,7 +38,16 @@ def test_used_ways_are_those_of_all_units(required, step, part):
     solved, due = made.units.solved - before, of_all(oracle, X + step * WAY)
     for name in ("used", "jacobian", "errors"):
         np.testing.assert_allclose(getattr(there, name), getattr(due, name), rtol=1e-12, atol=1e-14)
-    assert solved <= part * UNITS + 256 and (part < 1 or solved >= UNITS)
+    assert solved <= part * UNITS + 256 and (part < 1 or solved >= 0.5 * UNITS)
+
+
+@pytest.mark.parametrize("moved", [-3.0, -1.0, 1.0, 3.0])
+def test_units_of_the_other_side_are_solved_where_a_mid_point_moves(moved):
+    """Those farthest inside one limit come nearest to the other one."""
+    made, oracle = (constraints({"y": ONE}, costly=True, samples=UNITS) for _ in range(2))
+    made.look(X)
+    x = X + np.array([0, 0, 0, moved, 0, 0])
+    assert made.look(x, sloped=False).used == pytest.approx(of_all(oracle, x).used, rel=1e-12)
 
 
 def test_units_that_all_move_inside_are_solved():

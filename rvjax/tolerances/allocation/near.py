@@ -1,7 +1,7 @@
 """Costly units near their limits: at a neighbouring vector only these are solved, the others keep their values.
 
 A limit on a share needs the values of the units about a quantile. Units that were far inside the limit at one vector
-are not beyond it at the next: none moves much farther than those in the tail, which are solved at both.
+are rarely beyond it at the next. Some of them, spread over all, are solved too and tell whether this is so.
 """
 
 from collections.abc import Callable, Sequence
@@ -9,16 +9,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rvjax._jax.sizes import AT_ONCE
 from rvjax.population import Population
 from rvjax.response import Part
 from rvjax.tolerances.allocation.decisions import KEPT
 from rvjax.tolerances.allocation.look import DECIDES
 from rvjax.tolerances.allocation.sample import Units, Values
+from rvjax.tolerances.allocation.tails import FEWEST
 
 _FIRST = 8.0  # times the rejects: units that are solved at first
-_LEAST = 64  # of these
+_SPREAD = 32  # units at least that are spread over all others
 _WINDOW = 4.0  # times the rejects: units that a quantile may be formed of
-_CLOSER = 0.5  # part of the way to the quantile that a solved unit next to the others may have made
+_CLOSER = 0.5  # part of the way to the quantile that a solved unit like the others may have made
 _INSIDE = 1 - DECIDES  # part of the way inside a limit, of a quantile that does not decide; of units twice as much
 
 
@@ -68,34 +70,34 @@ class NearUnits:
             rank[np.argsort(-margins, kind="stable")] = np.arange(count)
             last = count if _margin(margins, limit.share * count) < -2 * _INSIDE else 0  # the limit does not decide
             place = np.minimum(place, rank / (limit.share * count) + np.where(margins > -2 * _INSIDE, 0, last))
-        order, done = np.argsort(place, kind="stable"), 0
-        size = max(int((place < _FIRST).sum()), _LEAST)
-        while done < count:
-            size = count if 2 * size > count else size
-            near = order[done:size]
-            solved = self._units.of_part(part, population, self.z[:, near])
+        order, nearest = np.argsort(place, kind="stable"), int((place < _FIRST).sum())
+        size = AT_ONCE * -(-(nearest + _SPREAD) // AT_ONCE)  # a call that is not full takes as long
+        spread = order[np.linspace(nearest, count - 1, size - nearest, dtype=int)] if 2 * size <= count else order
+        todo, solved = np.union1d(order[:nearest], spread), np.zeros(count, bool)
+        while len(todo):
+            values = self._units.of_part(part, population, self.z[:, todo])
+            solved[todo] = True
             for name, k in rows.items():
-                found[name][near] = solved[k]
-            done, size = size, 2 * size
-            if all(_enough(limit, was, found, order[:done]) for limit, was in zip(own, before)):
+                found[name][todo] = values[k]
+            if all(_enough(limit, was, found, solved) for limit, was in zip(own, before)):
                 break
-        return done >= count
+            left = order[~solved[order]]
+            todo = left[: solved.sum()] if 4 * solved.sum() <= count else left
+        return bool(solved.all())
 
 
 def _enough(limit: Limited, before: np.ndarray, found: Values, solved: np.ndarray) -> bool:
     """True if no other unit can be among those that the quantile is formed of."""
-    now, count = limit.margins(found), len(before)
-    others = np.ones(count, bool)
-    others[solved] = False
-    if not others.any():
+    if solved.all():
         return True
+    now, count, others = limit.margins(found), len(before), float(before[~solved].max())
     decides = _margin(now, limit.share * count) > -_INSIDE
-    level = _margin(now, _WINDOW * limit.share * count + _LEAST // 2) if decides else -_INSIDE
-    if before[others].max() >= level:
+    level = _margin(now, _WINDOW * limit.share * count + FEWEST) if decides else -_INSIDE
+    if others >= level:
         return False
-    inner = solved[(before[solved] <= np.median(before[solved])) & np.isfinite(before[solved])]
+    like = solved & (before <= max(others, float(np.median(before[solved])))) & np.isfinite(before)
     with np.errstate(invalid="ignore"):  # where too many units fail
-        way = (now[inner] - before[inner]) / np.maximum(level - before[inner], 1e-300)
+        way = (now[like] - before[like]) / np.maximum(level - before[like], 1e-300)
     return bool(way.max(initial=0.0) <= _CLOSER)
 
 

@@ -125,8 +125,9 @@ class Programme:
             there, looks = self._look(plan.x), looks + 1
             gained = self._merit(here, elastic) - self._merit(there, elastic)
             step = float(np.abs((plan.x - here.x) / self.decisions.reach).max())
-            self._learn(here, there)
-            if gained < _TAKEN * promised or not math.isfinite(gained):
+            refused = gained < _TAKEN * promised or not math.isfinite(gained)
+            self._learn(here, there, refused=refused)
+            if refused:
                 radius = min(radius, step) / _SHORTER
                 continue
             if gained > _GOOD * promised:
@@ -257,12 +258,13 @@ class Programme:
         """Derivatives (c + 1, n) of the learned part of the model at a step."""
         return np.asarray(self.bends @ (moved / self.decisions.reach) / self.decisions.reach)
 
-    def _learn(self, here: Look, there: Look) -> None:
+    def _learn(self, here: Look, there: Look, *, refused: bool) -> None:
         """Bend the model so that it has the derivatives seen at another look.
 
         The change is the least one that is symmetric (Powell 1970), along mid-points and numbers if there are any, by
         their part of the step: the model is less wrong along half-widths. Derivatives of few units count less two
-        standard errors.
+        standard errors. Along mid-points and numbers the model also has at least the values of a step not taken: next
+        to a corner derivatives of few units tell little.
         """
         whole = (there.x - here.x) / self.decisions.reach
         bending = np.arange(len(whole)) >= (self._first if self._first < len(whole) else 0)
@@ -280,6 +282,10 @@ class Programme:
         cross = error[:, :, None] * step / square
         bent = self.bends + cross + cross.transpose(0, 2, 1)
         bent -= (error @ step)[:, None, None] * np.outer(step, step) / square**2
+        if refused and self._first < len(whole):
+            self.bends = bent
+            short = np.where(known[:-1], np.maximum(_power(there) - self._powers(here, there.x)[0], 0.0), 0.0)
+            bent[:-1] += 2 * short[:, None, None] * np.outer(step, step) / (square * float(whole @ whole))
         values, vectors = np.linalg.eigh(bent)  # a model without negative curvatures has one minimum
         self.bends = np.einsum("kij,kj,klj->kil", vectors, np.maximum(values, 0.0), vectors)
 

@@ -126,14 +126,18 @@ class Units:
         self, part: Part, population: Population, z: np.ndarray, errors: np.ndarray, weights: np.ndarray
     ) -> np.ndarray:
         """Gradients (elements and numbers, n) of a part; units whose state is known are not solved again."""
+        if not self._costly:
+            return gradients(part.response, population, errors, weights, part.names)[1]
         known = [(place, state) for own, there, place, state in self._states if own is part and there is population]
         keys = [column.tobytes() for column in z.T]
         states = [next((state[:, place[key]] for place, state in known if key in place), None) for key in keys]
-        found = [state for state in states if state is not None]
-        if len(found) == len(keys):
-            return part.slopes_of_elements(population, errors, np.stack(found, axis=1), weights)
-        self.solved += z.shape[1]
-        return gradients(part.response, population, errors, weights, part.names)[1]
+        missing = [k for k, state in enumerate(states) if state is None]
+        if missing:
+            self.solved += len(missing)
+            for k, state in zip(missing, part.of_elements(population, errors[:, missing])[2].T):
+                states[k] = state
+        found = np.stack([state for state in states if state is not None], axis=1)
+        return part.slopes_of_elements(population, errors, found, weights)
 
     def slope(self, x: np.ndarray, z: np.ndarray, pulled: Values) -> np.ndarray:
         """Derivative (n,) of the sum over units of responses with weights (m,), to the vector of decisions."""
