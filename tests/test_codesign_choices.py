@@ -24,8 +24,7 @@ from rvjax.tolerances import (
     allocate,
     it_width,
 )
-from rvjax.tolerances.allocation.decisions import Decisions
-from rvjax.tolerances.allocation.lists import Lists
+from rvjax.tolerances.allocation.decisions import Decisions, Lists
 from rvjax.tolerances.allocation.sample import Units
 from rvjax.units import mm, um
 from tests.oracles.responses import Linear

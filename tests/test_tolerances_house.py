@@ -28,8 +28,8 @@ from rvjax.tolerances import (
     save,
     worst_case,
 )
-from rvjax.tolerances.requirements.kinds import CpkAtLeast, MeanWithin
-from rvjax.tolerances.requirements.limits import KINDS, Limits, Pull
+from rvjax.tolerances.limits import KINDS, Limits, Pull
+from rvjax.tolerances.requirements import CpkAtLeast, MeanWithin
 from rvjax.units import um
 from tests.oracles.responses import Linear
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from rvjax.tolerances.allocation.interior import Model, minimum
+from rvjax.tolerances.allocation.model import Model, minimum
 
 
 def problem(seed, n=8, m=4):

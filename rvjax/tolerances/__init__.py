@@ -9,15 +9,21 @@ import dataclasses
 
 from rvjax.population import Estimate, MeasuredColumn, MeasuredParts, Tolerance, for_design, it_width, measured, sample
 from rvjax.response import Outcome
-from rvjax.tolerances.allocation.allocate import allocate
+from rvjax.tolerances.allocation.allocate import CostCurve, allocate, cost_curve, least_yield as least_yield
 from rvjax.tolerances.allocation.certificate import units_of as units_of
-from rvjax.tolerances.allocation.cost import COSTS as COSTS, Cost as Cost, Exponential, ReciprocalPower, Table
-from rvjax.tolerances.allocation.curve import CostCurve, cost_curve
-from rvjax.tolerances.allocation.nominal import Nominal
+from rvjax.tolerances.allocation.cost import (
+    COSTS as COSTS,
+    Cost as Cost,
+    Exponential,
+    QuadraticLoss,
+    ReciprocalPower,
+    Table,
+    expected_losses as expected_losses,
+)
 from rvjax.tolerances.allocation.problem import FEWEST as FEWEST, KEPT as KEPT, QUICK as QUICK
 from rvjax.tolerances.allocation.result import Allocation
 from rvjax.tolerances.allocation.variable import Middle, Variable, check_middles as check_middles
-from rvjax.tolerances.allocation.yields import least_yield as least_yield
+from rvjax.tolerances.allocation.whole_sample import Nominal
 from rvjax.tolerances.batch.memo import Memo as Memo
 from rvjax.tolerances.batch.monte_carlo import monte_carlo
 from rvjax.tolerances.batch.processes import Folder as Folder, Processes as Processes, take as take
@@ -30,10 +36,10 @@ from rvjax.tolerances.influence import (
     Influence as Influence,
     influences as influences,
 )
-from rvjax.tolerances.loss import QuadraticLoss, expected_losses as expected_losses
+from rvjax.tolerances.limits import Limits as Limits
 from rvjax.tolerances.minimise import Minimum, minimise
 from rvjax.tolerances.moments import Moments, rss
-from rvjax.tolerances.requirements.kinds import (
+from rvjax.tolerances.requirements import (
     KINDS as KINDS,
     CpkAtLeast,
     MeanWithin,
@@ -42,7 +48,6 @@ from rvjax.tolerances.requirements.kinds import (
     Verdict,
     WorstCaseWithin,
 )
-from rvjax.tolerances.requirements.limits import Limits as Limits
 from rvjax.tolerances.saving import RESULTS as RESULTS, Origin, load, origin, save
 from rvjax.tolerances.sobol_indices import SobolIndices, sobol_indices
 from rvjax.tolerances.worst_case import WorstCase, slopes_change_sign as slopes_change_sign, worst_case

@@ -25,7 +25,7 @@ from rvjax.response import (
     response_names,
 )
 from rvjax.status import succeeded
-from rvjax.tolerances.requirements.kinds import Limits
+from rvjax.tolerances.requirements import Limits
 
 _TERMS = 23  # of Hermite series
 _SEEN = 16384  # units behind mean and sd of a response with a kink

@@ -20,7 +20,7 @@ from rvjax.tolerances.allocation.problem import SPARE, Problem
 from rvjax.tolerances.allocation.tails import FEWEST
 from rvjax.tolerances.batch.statistics import Statistics, rejects
 from rvjax.tolerances.failure.failure import failure_probability
-from rvjax.tolerances.requirements.limits import Limits, Verdict
+from rvjax.tolerances.limits import Limits, Verdict
 
 TESTS = 10
 """Certificates of one search, at most."""

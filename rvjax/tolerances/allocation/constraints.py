@@ -19,12 +19,11 @@ from rvjax.response import response_names
 from rvjax.tolerances.allocation.decisions import AT, Decisions
 from rvjax.tolerances.allocation.look import DECIDES, FAILED, JOINT, Look, Row
 from rvjax.tolerances.allocation.near import Limited, NearUnits
-from rvjax.tolerances.allocation.nominal import NominalOutputs
 from rvjax.tolerances.allocation.problem import Problem
 from rvjax.tolerances.allocation.sample import Units, Values
 from rvjax.tolerances.allocation.tails import Centres, Quantile, TailSample, centres_of, quantile
-from rvjax.tolerances.allocation.whole_sample import WholeSample
-from rvjax.tolerances.requirements.limits import Limits
+from rvjax.tolerances.allocation.whole_sample import NominalOutputs, WholeSample
+from rvjax.tolerances.limits import Limits
 
 FEW = 512
 """Units of the first look, and of a part of the response that does not decide."""

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from rvjax.tolerances.requirements.limits import Limits
+from rvjax.tolerances.limits import Limits
 
 DECIDES = 0.85
 """Used way below which a limit does not decide."""

@@ -13,13 +13,12 @@ from rvjax.base.words import unknown
 from rvjax.population import Correlation, Estimate, Population, Tolerance, deviate_of
 from rvjax.records import Record, is_concrete
 from rvjax.response import BLOCK, Response, by_response, is_costly, response_names
-from rvjax.tolerances.allocation.cost import COSTS, Cost
+from rvjax.tolerances.allocation.cost import COSTS, Cost, QuadraticLoss
 from rvjax.tolerances.allocation.decisions import ROUNDING, Decisions
 from rvjax.tolerances.allocation.variable import Middle, Variable, check_middles, with_values
 from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.batch.run import Run
-from rvjax.tolerances.loss import QuadraticLoss
-from rvjax.tolerances.requirements.limits import Limits
+from rvjax.tolerances.limits import Limits
 
 FEWEST = 100
 """Units a quantile can be learned from."""

@@ -16,9 +16,8 @@ import scipy
 
 from rvjax.tolerances.allocation.constraints import Constraints
 from rvjax.tolerances.allocation.decisions import AT, ROUNDING, STEP
-from rvjax.tolerances.allocation.interior import Model, minimum
 from rvjax.tolerances.allocation.look import Look
-from rvjax.tolerances.allocation.planes import Planes
+from rvjax.tolerances.allocation.model import Model, Planes, minimum
 
 GAIN = 1e-5, 2e-4
 """Promised gain, as a part of the cost, below which a search on quick and on costly units ends."""

@@ -1,13 +1,24 @@
-"""Result of an allocation."""
+"""Result of an allocation, with what the end of a search says: prices of limits and bounds, margins, flat places.
+
+A flat place is how far a number can be from its best value at little more cost. The number is held off that value and
+the others are chosen again. The cost that this adds is modelled by its slope (the price of an active bound) and a
+curvature, which the last such search corrects.
+"""
 
 import dataclasses
+import functools
+import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from scipy import special
 
 from rvjax.base import frames
 from rvjax.population import Estimate, Population
+from rvjax.tolerances.allocation.constraints import FEW, Constraints
 from rvjax.tolerances.allocation.decisions import AT, Decisions
+from rvjax.tolerances.allocation.programme import AGAIN, COARSE, GAIN, LOOKS, MET, End, Programme
 from rvjax.tolerances.batch.statistics import Statistics
 
 
@@ -120,3 +131,149 @@ def bounds_active(decisions: Decisions, x: np.ndarray) -> dict[str, str | None]:
         free = name in decisions.free and not item.among
         active[name] = ("lower" if at_lower else "upper" if at_upper else None) if free else None
     return active
+
+
+_GROUPS = 20  # of units, each left out in turn (Tukey 1958)
+
+
+def prices_of(constraints: Constraints, end: End, prices: np.ndarray, ways: np.ndarray) -> dict[str, float]:
+    """Reduction of the cost per outward move of all limits of a requirement, by name.
+
+    Args:
+        constraints: of the search.
+        end: of the search.
+        prices: (c,) of used ways.
+        ways: (c,) move of a limit for each used way.
+    """
+    found = dict.fromkeys(constraints.problem.requirements, 0.0)
+    for row, price, way in zip(constraints.rows, prices, ways):
+        if row.item is not None:
+            found[row.name] += float(price / way)
+    for name, part in constraints.leading(end.look.x).items():
+        found[name] += float(prices[-1]) * part
+    return found
+
+
+def intervals(programme: Programme, end: End, confidence: float) -> dict[str, tuple[float, float]]:
+    """Intervals of d cost / d limit by the sampling error of the units: no unit is solved for them.
+
+    Args:
+        programme: of the search.
+        end: of the search.
+        confidence: of the intervals.
+    """
+    constraints, several = programme.constraints, []
+    values = prices_of(constraints, end, end.prices, constraints.ways)
+    for used, jacobian in constraints.without_groups(end.look, _GROUPS):
+        there = dataclasses.replace(end.look, used=used, jacobian=jacobian)
+        prices = programme.prices(there, AGAIN)
+        several.append([*prices_of(constraints, end, prices, constraints.ways).values()])
+    error = np.std(np.asarray(several), axis=0) * math.sqrt(_GROUPS - 1)
+    half = dict(zip(values, map(float, special.stdtrit(_GROUPS - 1, (1 + confidence) / 2) * error)))
+    return {name: (-value - half[name], -value + half[name]) for name, value in values.items()}
+
+
+def margins_of(constraints: Constraints, end: End) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
+    """Margins of the requirements at the end of a search, of two sides the larger, and their derivatives.
+
+    Args:
+        constraints: of the search.
+        end: of the search.
+    """
+    decisions, x = constraints.decisions, end.look.x
+    values, slopes = dict[str, float](), dict[str, dict[str, float]]()
+    first, widths = len(decisions.fields) + len(decisions.moves), decisions.half_widths(x)
+    for k, row in enumerate(constraints.rows):
+        value, rates = (end.look.used[k] - 1) * constraints.ways[k], end.look.jacobian[k] * constraints.ways[k]
+        if row.item is None or not math.isfinite(value) or value <= values.get(row.name, -math.inf):
+            continue
+        values[row.name] = float(value)
+        numbers = rates[first:] / decisions.rates()[len(decisions.moves) :]
+        slopes[row.name] = dict(zip(decisions.fields, map(float, rates[: len(widths)] / widths)))
+        slopes[row.name] |= dict(zip(decisions.free, map(float, numbers)))
+    return values, slopes
+
+
+def value_prices(decisions: Decisions, end: End) -> dict[str, float]:
+    """d cost / d bound of each number, of the bound at which it is; 0 elsewhere.
+
+    Args:
+        decisions: of the search.
+        end: of the search.
+    """
+    prices, bounds = dict.fromkeys(decisions.variables, 0.0), bounds_active(decisions, end.look.x)
+    for k, name in enumerate(decisions.free, len(decisions.fields) + len(decisions.moves)):
+        rate = float(decisions.rates()[k - len(decisions.fields)])
+        if bounds[name] is not None:
+            prices[name] = float(end.at_low[k] if bounds[name] == "lower" else -end.at_high[k]) / rate
+    return prices
+
+
+WITHIN = 0.005
+"""Part of the cost that a number off its best value may add."""
+
+_OFF = 0.05  # part of its range by which a number is first held off
+_TRIALS = 4, 2  # searches for one end of a range of quick and of costly units, at most
+_CLOSE = 0.15  # of the added cost, by which the end of a range may miss it
+_LOOKS = 4  # vectors of one search on costly units, at most
+
+
+def ranges(constraints: Constraints, programme: Programme, end: End) -> dict[str, tuple[float, float]]:
+    """{number: (least, largest) value with which the least cost stays within `WITHIN`}.
+
+    Args:
+        constraints: of the search; costly units are few afterwards.
+        programme: of the search.
+        end: of the search.
+    """
+    decisions, costly = constraints.decisions, constraints.problem.costly
+    if costly:
+        constraints.sample(FEW)
+    low, high, looks = programme.low, programme.high, _LOOKS if costly else LOOKS
+
+    def solved(start: End, k: int | None = None, at: float = 0.0) -> End:
+        x = start.look.x.copy()
+        if k is not None:
+            programme.low, programme.high = low.copy(), high.copy()
+            programme.low[k] = programme.high[k] = x[k] = at
+        found = programme.run(x, AGAIN, most=looks, gain=COARSE if costly else max(GAIN))
+        programme.low, programme.high = low, high
+        return found
+
+    best = solved(end)
+    found = {name: (value, value) for name, value in decisions.values(best.look.x).items()}
+    for k, name in enumerate(decisions.free, len(decisions.fields) + len(decisions.moves)):
+        if low[k] == high[k]:
+            continue
+        item, at, ends = decisions.variables[name], float(best.look.x[k]), list[float]()
+        for sign, limit, slope in ((-1.0, low[k], best.at_high[k]), (1.0, high[k], best.at_low[k])):
+            held = functools.partial(solved, best, k)
+            way = _way(held, best, at, sign, abs(float(limit) - at), float(slope), _TRIALS[costly])
+            there = min(max(at + sign * way, 0.0), 1.0)
+            ends.append(item.lower + there * (item.upper - item.lower))
+        found[name] = min(ends), max(ends)
+    return found
+
+
+def _way(
+    solved: Callable[[float], End], best: End, at: float, sign: float, most: float, slope: float, trials: int
+) -> float:
+    """Distance at which the least cost has grown by `WITHIN`, or `most`."""
+    if most <= 0:
+        return 0.0
+    allowed = WITHIN * abs(best.look.total)
+    inner, outer, way = 0.0, math.inf, min(_OFF, most)
+    for _ in range(trials):
+        there = solved(at + sign * way)
+        if there.look.excess > MET:
+            outer, way = way, (inner + way) / 2
+            continue
+        added = there.look.total - best.look.total
+        if abs(added - allowed) <= _CLOSE * allowed or (way == most and added <= allowed):
+            return way
+        inner, outer = (way, outer) if added < allowed else (inner, way)
+        bend = max(2 * (added - slope * way) / way**2, 1e-3 * allowed)
+        new = (math.sqrt(slope**2 + 2 * bend * allowed) - slope) / bend
+        new = min(max(new, way / 4), 8 * way, most)
+        way = new if inner < new < outer else (inner + min(outer, most)) / 2 if math.isfinite(outer) else most
+    return min(way, most)

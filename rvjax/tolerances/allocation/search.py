@@ -8,17 +8,15 @@ import numpy as np
 
 from rvjax.tolerances.allocation.certificate import TESTS, Certifier
 from rvjax.tolerances.allocation.constraints import FEW, Constraints
-from rvjax.tolerances.allocation.decisions import ROUNDING
-from rvjax.tolerances.allocation.lists import Lists, Places
+from rvjax.tolerances.allocation.cost import expected_losses
+from rvjax.tolerances.allocation.decisions import ROUNDING, Lists, Places
 from rvjax.tolerances.allocation.look import DECIDES, FAILED, Look
-from rvjax.tolerances.allocation.prices import intervals, margins_of, prices_of, value_prices
 from rvjax.tolerances.allocation.problem import QUICK, STAGES, Problem
 from rvjax.tolerances.allocation.programme import AGAIN, COARSE, LOOKS, MET, RADIUS, STATIONARY, End, Programme
 from rvjax.tolerances.allocation.rays import Rays
-from rvjax.tolerances.allocation.result import Allocation, bounds_active
+from rvjax.tolerances.allocation.result import Allocation, bounds_active, intervals, margins_of, prices_of, value_prices
 from rvjax.tolerances.allocation.starts import rivals, starts, tried
 from rvjax.tolerances.batch.statistics import Statistics
-from rvjax.tolerances.loss import expected_losses
 
 DEARER = 0.2
 """Part of the learned cost by which a certified one may exceed it and still be called the cheapest."""

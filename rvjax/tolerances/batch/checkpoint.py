@@ -18,7 +18,7 @@ from rvjax.base.files import DAMAGE, PARTIAL, Arrays, digest, pack, unpack, writ
 from rvjax.population import Population
 from rvjax.records import Record
 from rvjax.response import Response, respond
-from rvjax.tolerances.requirements.kinds import Limits
+from rvjax.tolerances.requirements import Limits
 
 _SHARE = 10  # times as long computing as writing
 _FORMAT = 4

@@ -33,7 +33,7 @@ from rvjax.tolerances.batch.processes import Alone, Processes, agree, take
 from rvjax.tolerances.batch.quantiles import quantile_estimate
 from rvjax.tolerances.batch.statistics import Statistics, rejects
 from rvjax.tolerances.batch.unit_file import UnitFile, Write, joined, writing
-from rvjax.tolerances.requirements.kinds import Limits
+from rvjax.tolerances.requirements import Limits
 from rvjax.tolerances.worst_case import extremes
 
 QUANTILES = (0.00135, 0.5, 0.99865)

@@ -11,8 +11,7 @@ from rvjax._jax.sizes import SEARCHES, TESTED
 from rvjax.population import Correlation, Estimate, Population, clopper_pearson, deviate_of, rare, skewed, student
 from rvjax.records import PyTree
 from rvjax.response import Response, by_name, by_response, response_names
-from rvjax.tolerances.failure.form import Found, LimitState, Units, design_points
-from rvjax.tolerances.failure.images import orbit
+from rvjax.tolerances.failure.form import Found, LimitState, Units, design_points, orbit
 from rvjax.tolerances.failure.importance_sampling import Mixture, apart
 from rvjax.tolerances.failure.subset import (
     INWARDS,
@@ -24,7 +23,7 @@ from rvjax.tolerances.failure.subset import (
     sequential,
     together,
 )
-from rvjax.tolerances.requirements.kinds import Limits
+from rvjax.tolerances.requirements import Limits
 
 _ROUNDS = 12  # most batches of searches
 _ORBITS = 4  # new points of a batch whose images are tried

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from rvjax.population import Estimate, Sampled, score_interval, wilson
-from rvjax.tolerances.requirements.limits import (
+from rvjax.tolerances.limits import (
     KINDS,
     MOST_FAILED,
     Limits,

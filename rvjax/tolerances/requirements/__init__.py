@@ -1,1 +1,0 @@
-"""Kinds of requirements on a response."""
