@@ -17,9 +17,8 @@ from test_cli_montecarlo import SMALL, assert_same
 from rvjax import cli, study
 from rvjax.response import devices
 from rvjax.tolerances import load, monte_carlo
-from rvjax.tolerances.batch.chunks import Chunks
-from rvjax.tolerances.batch.processes import Folder, take
 from rvjax.tolerances.batch.run import Run
+from rvjax.tolerances.batch.shares import Chunks, Folder, take
 
 COMMAND = ["montecarlo", "small.toml", "--samples", "9400", "--seed", "4", "--chunk", "1000"]
 COMMAND += ["--checkpoint", "c", "--save", "a.npz", "--quiet"]

@@ -18,7 +18,7 @@ from rvjax.response import devices
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, Requirement, Tolerance, UnitFile, monte_carlo, sample
 from rvjax.tolerances.batch import unit_file
-from rvjax.tolerances.batch.chunks import Chunks
+from rvjax.tolerances.batch.shares import Chunks
 
 ERRORS = {"a": Tolerance(-2.0, 4.0), "b": Tolerance(0.0, 3.0, shape=(2, 2), distribution="uniform")}
 OPTIONS = dict(samples=250, seed=3, chunk=100)

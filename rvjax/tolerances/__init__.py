@@ -26,8 +26,8 @@ from rvjax.tolerances.allocation.variable import Middle, Variable, check_middles
 from rvjax.tolerances.allocation.whole_sample import Nominal
 from rvjax.tolerances.batch.memo import Memo as Memo
 from rvjax.tolerances.batch.monte_carlo import monte_carlo
-from rvjax.tolerances.batch.processes import Folder as Folder, Processes as Processes, take as take
 from rvjax.tolerances.batch.run import Run as Run
+from rvjax.tolerances.batch.shares import Folder as Folder, Processes as Processes, take as take
 from rvjax.tolerances.batch.statistics import Statistics
 from rvjax.tolerances.batch.unit_file import ENDINGS as ENDINGS, UnitFile
 from rvjax.tolerances.failure.failure import FailureProbability, failure_probability

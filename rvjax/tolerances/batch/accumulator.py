@@ -4,16 +4,17 @@ import math
 
 import numpy as np
 
-from rvjax.base.files import Arrays
+from rvjax.base.files import Arrays, pack, unpack
 from rvjax.population import CentralMoments, Pairwise
 from rvjax.status import SUCCESS, Status
-from rvjax.tolerances.batch.chunks import Chunks
 from rvjax.tolerances.batch.quantiles import ExactOrder, Order
+from rvjax.tolerances.batch.shares import Chunks, Processes, take
 from rvjax.tolerances.requirements import Limits
 
 _GOOD = [int(status) for status in SUCCESS]
 _GROWING = ("failures", "values", "pilot", "chunks", "waiting", "waiting_streams", "waiting_chunks")
 """Arrays with as many rows as were needed."""
+_MOST_WAITING = 2**21  # values that wait for the bins, 16 MiB, before a process waits for the first
 
 
 class Accumulator:
@@ -46,15 +47,26 @@ class Accumulator:
         """True once the bins of all responses are known."""
         return len(self.first) == len(self._orders)
 
-    @property
-    def waiting(self) -> int:
-        """Values that wait for bins."""
-        return sum(order.waiting for order in self._orders.values())
+    def agree(self, group: Processes, *, last: bool = False) -> bool:
+        """Place the bins of the quantiles alike in all processes: the first one says its first values.
 
-    def settle(self, first: Arrays) -> None:
-        """Place the bins of the responses as another process has."""
-        for name, values in first.items():
-            self._orders[name].settle(values)
+        Args:
+            group: all processes; this one has these counts.
+            last: this process has counted all its units.
+
+        Returns:
+            True if nothing is left to do.
+        """
+        if group.number == 0:
+            if self.settled or last:
+                group.put("bins", pack(self.first))
+            return self.settled
+        if not self.settled:
+            waiting = sum(order.waiting for order in self._orders.values())
+            content = take(group, "bins") if waiting > _MOST_WAITING and not last else group.get("bins")
+            for name, values in {} if content is None else unpack(content).items():
+                self._orders[name].settle(values)
+        return self.settled
 
     @property
     def complete(self) -> bool:

@@ -6,8 +6,8 @@ from rvjax._jax.checks import checked
 from rvjax.population import SCRAMBLES, Correlation, Population, check_method, deviate_of
 from rvjax.records import PyTree
 from rvjax.response import Response, by_response, response_names, unwrapped
-from rvjax.tolerances.batch.processes import Processes
 from rvjax.tolerances.batch.run import QUANTILES, Run, check_memory
+from rvjax.tolerances.batch.shares import Processes
 from rvjax.tolerances.batch.statistics import Statistics
 from rvjax.tolerances.batch.unit_file import UnitFile
 from rvjax.tolerances.requirements import Limits

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import special
 
 from rvjax.population import Estimate, deviate_of, share_error, student
-from rvjax.tolerances.batch.chunks import Chunks
+from rvjax.tolerances.batch.shares import Chunks
 
 PILOT = 4096
 COARSE = 16  # bins that are one where the scrambles are counted apart

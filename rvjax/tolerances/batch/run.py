@@ -4,7 +4,6 @@ import contextlib
 import dataclasses
 import functools
 import json
-import math
 import os
 from pathlib import Path
 
@@ -13,10 +12,9 @@ import numpy as np
 from rvjax._jax.distributed import Store, place
 from rvjax.base.files import DAMAGE, pack, unpack, versions
 from rvjax.base.progress import progress_bar
-from rvjax.population import SCRAMBLES, Estimate, Population, Sampled
+from rvjax.population import SCRAMBLES, Population
 from rvjax.records import PyTree
 from rvjax.response import Response, evaluator
-from rvjax.status import PRECEDENCE
 from rvjax.tolerances.batch.accumulator import Accumulator
 from rvjax.tolerances.batch.checkpoint import (
     LARGEST,
@@ -27,11 +25,9 @@ from rvjax.tolerances.batch.checkpoint import (
     parts_of,
     response_hash,
 )
-from rvjax.tolerances.batch.chunks import Chunks, in_order
 from rvjax.tolerances.batch.memo import Memo
-from rvjax.tolerances.batch.processes import Alone, Processes, agree, take
-from rvjax.tolerances.batch.quantiles import quantile_estimate
-from rvjax.tolerances.batch.statistics import Statistics, rejects
+from rvjax.tolerances.batch.shares import Alone, Chunks, Processes, in_order, take
+from rvjax.tolerances.batch.statistics import Statistics, statistics_of
 from rvjax.tolerances.batch.unit_file import UnitFile, Write, joined, writing
 from rvjax.tolerances.requirements import Limits
 from rvjax.tolerances.worst_case import extremes
@@ -98,60 +94,14 @@ class Run:
         return about | {"seed": str(self.seed), "method": self.method, "chunk": str(self.chunk)}
 
     def _figures(self, counted: Accumulator, study: dict[str, str]) -> Statistics:
-        """Statistics of all units, as dicts by name of the response."""
-        named = [status for status in PRECEDENCE if int(status) in counted.failures]
-        seen = {
-            name: Sampled(
-                [tree.total() for tree in trees],
-                counted.passed.get(name),
-                counted.seen,
-                self.confidence,
-                self._extremes(name),
-            )
-            for name, trees in counted.moments.items()
-        }
-        orders, any_units = counted.orders().items(), bool(counted.requirements)
-        yields = {name: None if item.passed is None else item.share() for name, item in seen.items()}
-        nothing, limited = Estimate(*[math.nan] * 4), counted.requirements
-        cp, cpk = (
-            {name: of(item, limited[name]) if name in limited else nothing for name, item in seen.items()}
-            for of in (Sampled.cp, Sampled.cpk)
-        )
-        return Statistics(
-            samples=int(counted.seen.sum()),
-            seed=self.seed,
-            method=self.method,
-            standard_errors="independent units" if counted.streams == 1 else f"{counted.streams} independent scrambles",
-            confidence=self.confidence,
-            failed=sum(counted.failures.values()),
-            failures={status.name: counted.failures[int(status)] for status in named},
-            examples={status.name: counted.examples[int(status)] for status in named},
-            worst_index=counted.examples[int(named[0])] if named else None,
-            mean={name: item.mean() for name, item in seen.items()},
-            sd={name: item.sd() for name, item in seen.items()},
-            quantiles={p: {n: quantile_estimate(o, p, self.confidence) for n, o in orders} for p in self.quantiles},
-            minimum={n: -math.inf if counted.infinite[n][0] else item.whole.minimum for n, item in seen.items()},
-            maximum={n: math.inf if counted.infinite[n][1] else item.whole.maximum for n, item in seen.items()},
-            infinite={name: int(units.sum()) for name, units in counted.infinite.items()},
-            yield_=yields if any_units else None,
-            ppm={name: rejects(share) for name, share in yields.items()} if any_units else None,
-            cp={name: figure.value for name, figure in cp.items()} if any_units else None,
-            cpk={name: figure.value for name, figure in cpk.items()} if any_units else None,
-            cp_estimate=cp if any_units else None,
-            cpk_estimate=cpk if any_units else None,
-            joint_yield=next(iter(seen.values())).share(counted.joint) if any_units else None,
-            verdicts={name: item.verdict(seen[name]) for name, item in self.requirements.items()} or None,
-            values=(counted.values or None) if self.keep else None,
-            study=study,
-            versions=versions(),
-        )
-
-    def _extremes(self, name: str) -> tuple[float, float]:
-        """Return the range of a response over the limits of all errors, where its requirement needs it."""
-        if name not in self.requirements or not self.requirements[name].of_extremes:
-            return math.nan, math.nan
-        low, high = extremes(self.response, self.population, self.names, name).values
-        return float(low), float(high)
+        """Statistics of all units."""
+        wide = [name for name, item in self.requirements.items() if item.of_extremes]
+        ends = {name: extremes(self.response, self.population, self.names, name).values for name in wide}
+        ranges = {name: (float(low), float(high)) for name, (low, high) in ends.items()}
+        return statistics_of(
+            counted, self.requirements, self.quantiles, ranges,
+            seed=self.seed, method=self.method, confidence=self.confidence, keep=self.keep, study=study,
+        )  # fmt: skip
 
     def _empty(self, *, keeps: bool) -> Accumulator:
         streams, kept = SCRAMBLES if self.method == "sobol" else 1, self.samples if keeps else 0
@@ -288,14 +238,14 @@ class Run:
                     counted.keep(unit, values, status)
                 else:
                     counted.add(number, unit, values, status)
-                    agreed = agreed or agree(counted, group)
+                    agreed = agreed or counted.agree(group)
                 if write:
                     write(unit, values, status, evaluated.errors(unit) if self.save and self.save.errors else {})
                 if file is not None and number <= last:
                     file.save(state, now=number == last)
                 advance(len(status))
         if not agreed:
-            agree(counted, group, last=True)
+            counted.agree(group, last=True)
 
     def _gathered(self, counted: Accumulator, study: dict[str, str], group: Processes) -> Accumulator:
         """Counts of all processes, one after the other in the first, then in all."""

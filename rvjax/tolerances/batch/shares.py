@@ -1,25 +1,139 @@
-"""Processes that share a run: messages between them, and a clear end when one of them is missing.
+"""Shares of a run: chunks of units in order, and the processes that count them.
+
+Any set of chunks takes little memory as ranges of their numbers.
 
 Statistics need a few messages of some megabytes in all, at the start and at the end. They go through files of a shared
 folder, not through collectives of JAX: a process that dies leaves its checkpoint, its name and no other one waiting.
 """
 
 import contextlib
+import dataclasses
+import itertools
 import shutil
 import threading
 import time
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol
+from typing import Protocol, Self
 
-from rvjax.base.files import pack, unpack, write_atomically
-from rvjax.tolerances.batch.accumulator import Accumulator
+import numpy as np
+
+from rvjax.base.files import write_atomically
+from rvjax.records import PyTree
+
+Start = Callable[[int], tuple[dict[str, PyTree], PyTree]]  # first unit -> values and status, still computed
+
+
+@dataclasses.dataclass(frozen=True)
+class Chunks:
+    """Chunks of units.
+
+    Attributes:
+        ranges: (first, stop) of neighbours, in order; no two touch.
+    """
+
+    ranges: tuple[tuple[int, int], ...] = ()
+
+    @classmethod
+    def of(cls, ranges: Iterable[Iterable[int]]) -> Self:
+        """Chunks of ranges in any order.
+
+        Raises:
+            ValueError: two have a chunk in common, or a range is none.
+        """
+        found: list[tuple[int, int]] = []
+        for first, stop in sorted((int(first), int(stop)) for first, stop in ranges):
+            before = found[-1][1] if found else 0
+            if first < before or stop <= first:
+                raise ValueError(f"chunks {first} to {stop}: counted twice, or no chunks")
+            if found and first == before:
+                found[-1] = (found[-1][0], stop)
+            else:
+                found.append((first, stop))
+        return cls(tuple(found))
+
+    @classmethod
+    def up_to(cls, stop: int) -> Self:
+        """The first chunks, 0 to stop - 1."""
+        return cls.of([(0, stop)] if stop else [])
+
+    @property
+    def count(self) -> int:
+        """Number of chunks."""
+        return sum(stop - first for first, stop in self.ranges)
+
+    @property
+    def stop(self) -> int:
+        """Number after the last one, 0 without any."""
+        return self.ranges[-1][1] if self.ranges else 0
+
+    @property
+    def begun(self) -> int:
+        """Chunks from number 0 on without a gap."""
+        return self.ranges[0][1] if self.ranges and self.ranges[0][0] == 0 else 0
+
+    def __contains__(self, number: int) -> bool:
+        return any(first <= number < stop for first, stop in self.ranges)
+
+    def __iter__(self) -> Iterator[int]:
+        return (number for first, stop in self.ranges for number in range(first, stop))
+
+    def plus(self, *others: tuple[int, int]) -> Self:
+        """These and further ranges."""
+        return self.of([*self.ranges, *others])
+
+    def within(self, others: "Chunks") -> bool:
+        """True if each is one of the others."""
+        return all(any(low <= first and stop <= high for low, high in others.ranges) for first, stop in self.ranges)
+
+    def rest(self, total: int) -> Self:
+        """Chunks 0 to total - 1 that are not among these."""
+        ends = [0, *(end for pair in self.ranges for end in pair), max(total, self.stop)]
+        return self.of((first, stop) for first, stop in zip(ends[::2], ends[1::2]) if first < min(stop, total))
+
+    def share(self, process: int, processes: int) -> Self:
+        """The part of one process: neighbours, so that their moments merge and its state stays small."""
+        low, high = (self.count * part // processes for part in (process, process + 1))
+        found, before = [], 0
+        for first, stop in self.ranges:
+            start, end = first + max(low - before, 0), first + min(high - before, stop - first)
+            if start < end:
+                found.append((start, end))
+            before += stop - first
+        return self.of(found)
+
+    def array(self) -> np.ndarray:
+        """Ranges as rows (n, 2)."""
+        return np.array(self.ranges, np.int64).reshape(-1, 2)
+
+
+def in_order(
+    start: Start, numbers: Chunks, chunk: int, samples: int
+) -> Iterator[tuple[int, dict[str, np.ndarray], np.ndarray]]:
+    """Number, values and status of each chunk; the device computes the next one while the host reads this one.
+
+    Args:
+        start: begins to evaluate the chunk with this first unit.
+        numbers: of the chunks.
+        chunk: units of a chunk.
+        samples: units of the run.
+    """
+    before = None
+    for number in itertools.chain(numbers, [None]):
+        begun = None if number is None else (number, start(number * chunk))
+        if before is not None:
+            done, (values, status) = before
+            # The last chunk is evaluated as long as the others, and cut here: nothing is compiled twice.
+            count = min(chunk, samples - done * chunk)
+            yield done, {name: np.asarray(v)[:count] for name, v in values.items()}, np.asarray(status)[:count]
+        before = begun
+
 
 SILENCE = 120.0
 """Time without a sign of life after which a process counts as ended, s."""
 _LOOKS = 10  # signs of life in that time
 _LONGEST = 5.0  # s between two of them
-_MOST_WAITING = 2**21  # values that wait for the bins, 16 MiB, before a process waits for the first
 _POLL = 0.05  # s between two looks for a message
 
 
@@ -77,28 +191,6 @@ def take(processes: Processes, name: str) -> bytes:
         time.sleep(wait)
         wait = min(1.5 * wait, _POLL)
     return content
-
-
-def agree(counted: Accumulator, group: Processes, *, last: bool = False) -> bool:
-    """Place the bins of the quantiles alike in all processes: the first one says its first values.
-
-    Args:
-        counted: counts of this process.
-        group: all processes.
-        last: this process has counted all its units.
-
-    Returns:
-        True if nothing is left to do.
-    """
-    if group.number == 0:
-        if counted.settled or last:
-            group.put("bins", pack(counted.first))
-        return counted.settled
-    if not counted.settled:
-        content = take(group, "bins") if counted.waiting > _MOST_WAITING and not last else group.get("bins")
-        if content is not None:
-            counted.settle(unpack(content))
-    return counted.settled
 
 
 class Folder:
