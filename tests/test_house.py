@@ -170,7 +170,7 @@ def test_no_thread_but_of_progress_and_processes_and_no_look_into_the_interprete
                 modules[module].add(path.relative_to(PACKAGE).as_posix())
             if getattr(node, "attr", getattr(node, "id", None)) in names:
                 looks.append(f"{path.relative_to(PACKAGE)}:{node.lineno}")
-    watching = {"base/progress.py", "_jax/distributed.py", "tolerances/batch/processes.py"}
+    watching = {"base/progress.py", "_jax/distributed.py", "tolerances/batch/shares.py"}
     assert modules.pop("threading") == watching | {"commands/montecarlo/batch.py"}
     assert (looks, set().union(*modules.values())) == ([], set())
 
