@@ -23,14 +23,8 @@ from rvjax import (
 )
 from rvjax.errors import RVErrors
 from rvjax.levels import table
-from rvjax.plotting import (
-    drawings,
-    dynamic_error,
-    dynamics as dynamic_pictures,
-    identified as identified_pictures,
-    mesh_force as mesh_pictures,
-)
-from rvjax.plotting.style import AFTER, BEFORE
+from rvjax.plotting import drawings, dynamics as dynamic_pictures
+from rvjax.plotting.style import AFTER, BEFORE, LIMIT
 from rvjax.published import rv160
 from rvjax.units import arcmin, arcsec, rpm, um
 
@@ -43,17 +37,16 @@ def _turn(axes):
         errors = RVErrors.for_design(design, crank_eccentricity=[[5 * um, 0], [0, 0]], bearing_clearance=clearance)
         return four_bar.revolution(design, errors, angles=180, output_torque=torque)
 
-    for label, clearance, torque, colour, dash in (
-        ("one crank journal +5 um", 0.0, 0.0, AFTER, "-"),
-        ("and 8 um of bearing clearance under 412 N m", 8 * um, 412.0, BEFORE, "--"),
-    ):
-        found = turn(clearance, torque)
-        error = np.asarray(found.error - found.mean) / arcmin
-        axes.plot(np.degrees(found.crank_angle), error, linestyle=dash, color=colour, label=label)
-    axes.set(xlabel="crank angle (deg)", ylabel="transmission error less its mean (arcmin)", xlim=(0, 360))
-    axes.set_title("Transmission error over a crank turn")
-    axes.set_xticks(range(0, 361, 60))
-    axes.legend()
+    found = {
+        "one crank journal +5 um": turn(0.0, 0.0),
+        "and 8 um of bearing clearance under 412 N m": turn(8 * um, 412.0),
+    }
+    plotting.lines(
+        np.arange(0, 360, 2), {name: (one.error - one.mean) / arcmin for name, one in found.items()},
+        xlabel="crank angle (deg)", ylabel="transmission error less its mean (arcmin)",
+        title="Transmission error over a crank turn", axes=axes,
+    )  # fmt: skip
+    axes.set(xlim=(0, 360), xticks=range(0, 361, 60))
     return axes
 
 
@@ -89,7 +82,7 @@ def _joint_orders(axes):
     heavy = inertia.replace(output_inertia=inertia.output_inertia + question.conditions.load_inertia)
     found = dynamics.modes(question.design.replace(inertia=heavy))
     modes = [float(f) for f, kind in zip(found.frequency, found.kind) if kind == "rotational" and f < 80]
-    return dynamic_error.campbell_amplitudes(
+    return dynamic_pictures.campbell_amplitudes(
         jax.tree.map(lambda x: x[1], units), speeds, ratio=question.design.ratio, modes=modes, highest=80, axes=axes
     )
 
@@ -99,8 +92,17 @@ def _joint_batch(axes):
     turns = speeds / question.design.ratio
     frequency = turns[:, None] * np.asarray(units.order[0])
     rms = np.sqrt(np.sum(np.abs(units.amplitude[..., 0] * frequency**2) ** 2, axis=2) / 2)
-    limit = question.requirements["dynamic_vibration"].upper
-    return dynamic_error.batch_over_speed(turns, rms, unit="rad/s2", name="vibration", limit=limit, axes=axes)
+    low, middle, high, most = np.quantile(rms, (0.05, 0.5, 0.95, 0.9973), axis=0)
+    rows = {"median": middle, "99.73 % lie below": most, f"worst of {len(rms)}": rms.max(axis=0)}
+    plotting.lines(
+        turns / rpm, rows, band={"90 % of the units": (low, high)}, title="Spread of vibration over speed",
+        looks=dict(zip(rows, ({"lw": 1.8}, {"color": "black", "lw": 1.2}, {"color": "0.5", "ls": ":", "lw": 1.2}))),
+        xlabel="output speed (r/min)", ylabel="vibration (rad/s2)", axes=axes,
+    )  # fmt: skip
+    axes.axhline(question.requirements["dynamic_vibration"].upper, color=LIMIT, lw=1.5, label="limit")
+    axes.set(xlim=(turns[0] / rpm, turns[-1] / rpm), ylim=(0, None))
+    axes.legend(fontsize=9)
+    return axes
 
 
 def _ratio(design):
@@ -145,7 +147,17 @@ def _loaded_pins(_):
 
 def _loaded_sharing(axes):
     turn, _, found = _loaded_cases()
-    return plotting.loaded.load_sharing(turn, jax.tree.map(lambda x: x[:61], found), axes=axes)
+    rows = {}
+    for part, load in (("crank", found.gear[:61]), ("disc", found.disc_torque[:61])):
+        shares = np.asarray(load / load.mean(axis=1, keepdims=True)).T
+        rows |= {f"{part} {k}: {share.min():.2f} to {share.max():.2f}": share for k, share in enumerate(shares)}
+    axes.axhline(1, color="0.3", lw=0.8)
+    plotting.lines(
+        turn, rows, xlabel="crank angle (turns)", ylabel="load over an equal share (-)",
+        legend=dict(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize=9), axes=axes,
+    )  # fmt: skip
+    axes.set_xlim(0, 1)
+    return axes
 
 
 def _loaded_torsion(axes):
@@ -157,7 +169,16 @@ def _loaded_torsion(axes):
 def _loaded_orders(_):
     turns = {"412 N m": loaded.revolution(*_loaded_unit(), output_torque=412.0, turns=1.0, samples=512)}
     figure, axes = plt.subplots(2, 1, figsize=(8, 6.4))
-    plotting.loaded.output_turn(turns, axes=axes[0])
+    plotting.lines(
+        np.arange(512) * 360 / 512,
+        {
+            f"{name}: {turn.peak_to_peak / arcsec:.1f} arcsec peak to peak": (turn.error - turn.mean) / arcsec
+            for name, turn in turns.items()
+        },
+        xlabel="angle of the output (deg)", ylabel="transmission error less its mean (arcsec)",
+        legend=dict(loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=9), axes=axes[0],
+    )  # fmt: skip
+    axes[0].set(xlim=(0, 360), xticks=range(0, 361, 60))
     plotting.loaded.output_orders(turns, highest=250, axes=axes[1])
     return figure
 
@@ -173,9 +194,16 @@ def _loaded_measured(axes):
 
 def _gauge_picture(axes):
     kept = stored("assembly")["gauge"]
-    return plotting.assembly.gain_against_gauge(
-        kept["sd"], kept["promised"], kept["came true"], chance=1.0, known=kept["came true"][0], axes=axes
-    )
+    axes.axhline(100, color=BEFORE, ls="--", label="random assembly")
+    axes.axhline(100 * kept["came true"][0], color="0.5", ls=":", label="exact measurement")
+    plotting.lines(
+        kept["sd"], {"promised": 100 * np.array(kept["promised"]), "came true": 100 * np.array(kept["came true"])},
+        looks={"promised": {"marker": "o"}, "came true": dict(color=LIMIT, ls="", marker="x", ms=9, mew=2)},
+        xlabel="measurement uncertainty (share of the spread of the parts)", ylabel="mean response (% of random)",
+        title="What the gauge lets through", axes=axes,
+    )  # fmt: skip
+    axes.set_ylim(0, None)
+    return axes
 
 
 def _correction_picture(axes):
@@ -186,13 +214,39 @@ def _correction_picture(axes):
     error = np.real(np.exp(1j * np.outer(angle, order)) @ value) + 0.3 * arcsec * rng.standard_normal(angle.size)
     seen = value + 0.3 * arcsec * (rng.standard_normal(5) + 1j * rng.standard_normal(5))
     found = compensation.correction(order, seen, ratio=81, sd=0.3 * arcsec, angle_sd=60 * arcsec)
-    return plotting.compensation.before_and_after(angle, error, found, axes=axes)
+    return plotting.corrected_curve(angle, error, found, axes=axes)
 
 
 def _bench_picture(axes):
     kept = stored("bench_table")
-    benches = {bench: found["known"] for bench, found in kept["benches"].items()}
-    return identified_pictures.known_numbers(kept["numbers"], benches, axes=axes)
+    numbers = kept["numbers"]
+    rows = {
+        bench: [100 * found["known"][name] / count for name, count in numbers.items()]
+        for bench, found in kept["benches"].items()
+    }
+    names = [f"{plotting.words(name)} ({count})" for name, count in numbers.items()]
+    plotting.bars(names, rows, xlabel="of its numbers, known (%)", axes=axes)
+    axes.set_xlim(0, 100)
+    axes.tick_params(axis="y", labelsize=8)
+    axes.legend(loc="lower right", fontsize=8)
+    return axes
+
+
+def _loop(axes):
+    """Torque-angle loop of an output whose torque is cycled, as a test bench plots it."""
+    branch = np.linspace(-167, 167, 801)
+    torque = np.concatenate([branch[400:], branch[::-1], branch])
+    angle = lost_motion.hysteresis_loop(
+        torque, play=1 * arcmin, stiffness=50 / arcmin, friction=2.0, smoothing=1.5
+    ) / arcmin  # fmt: skip
+    axes.plot(torque[401:], angle[401:], color=AFTER, lw=2.0, label="cycle")
+    axes.plot(torque[:401], angle[:401], color=BEFORE, ls="--", lw=1.2, label="first loading")
+    for k, threshold in enumerate((5, -5)):
+        axes.axvline(threshold, color=LIMIT, lw=1.0, ls=":", label="" if k else "+-5 N m")
+    axes.set(xlabel="torque at the output (N m)", ylabel="angle of the output (arcmin)")
+    axes.set_title("Torque-angle loop, input locked")
+    axes.legend(loc="upper left")
+    return axes
 
 
 PICTURES = {
@@ -209,19 +263,8 @@ PICTURES = {
         ),
         (8.4, 4.4),
     ),
-    "loop": (
-        lambda axes: plotting.torque_angle_loop(
-            torque_max=167.0,
-            torque_threshold=5.0,
-            play=1 * arcmin,
-            stiffness=50 / arcmin,
-            friction=2.0,
-            smoothing=1.5,
-            axes=axes,
-        ),
-        (7, 4.2),
-    ),
-    "tooth": (lambda axes: mesh_pictures.tooth(catalogue.CORR, axes=axes), (7, 4.6)),
+    "loop": (_loop, (7, 4.2)),
+    "tooth": (lambda axes: drawings.tooth(catalogue.CORR, axes=axes), (7, 4.6)),
     "campbell": (_campbell, (7, 4.6)),
     "joint_orders": (_joint_orders, (7, 4.2)),
     "joint_batch": (_joint_batch, (7, 4.2)),

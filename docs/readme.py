@@ -24,13 +24,11 @@ def answer() -> None:
     with plotting.style():
         figure, axes = plt.subplots(1, 3, figsize=(13, 3.6))
         for name, place in zip(("loaded_transmission_error", "life"), axes):
-            plotting.response_histogram(
-                found.before.values[name],
-                found.after.values[name],
+            plotting.histogram(
+                {"after": found.after.values[name], "before": found.before.values[name]},
                 unit=found.study.output(name).unit,
                 name=name,
-                lower=found.study.requirements[name].lower,
-                upper=found.study.requirements[name].upper,
+                limits=(found.study.requirements[name].lower, found.study.requirements[name].upper),
                 read_in=found.study.output(name).read_in,
                 axes=place,
             )

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from cycloidal_cases import dictionaries
 
-from rvjax import cli, compensation, plotting, study
+from rvjax import cli, compensation, study
 from rvjax.assembly import plan
-from rvjax.commands.assemble import Price, _others as others, bench, prices
+from rvjax.commands.assemble import Price, _others as others, _price_plot as price_plot, bench, prices
 from rvjax.commands.assemble.prices import price_table
 from rvjax.commands.compensate import corrections
 from rvjax.units import arcsec, um
@@ -224,10 +224,8 @@ def test_a_negative_clearance_is_refused_with_its_row(files, capsys):
 def test_prices_with_and_without_matching_are_drawn_and_told():
     found = [Price(0.9, 12.0, 2.0, 5.0, "OPTIMAL"), Price(0.99, 18.0, 3.0, 7.0, "OPTIMAL")]
     assert price_table(found).text().splitlines()[-1].split() == ["99", "%", "18.000", "3.00", "7.000", "OPTIMAL"]
-    axes = plotting.assembly.price_of_accuracy(*zip(*((p.share, p.alone, p.matched) for p in found)))
+    axes = price_plot(found)
     assert [line.get_ydata()[1] for line in axes.lines] == [18.0, 7.0]
-    axes = plotting.assembly.gain_against_gauge([0, 1], [1.0, 3.0], [1.0, 2.0], chance=4.0, known=1.0)
-    assert axes.lines[2].get_ydata()[1] == 75.0
     plt.close("all")
 
 

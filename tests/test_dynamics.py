@@ -311,18 +311,6 @@ def test_pictures():
     mesh = speed * 2.37
     kinds = {1: "translational", 4: "rotational"}
     assert len(plotting.campbell(found, speed, mesh, harmonics=kinds).lines) > 10
-    amplitude = np.ones((50, 9)) * (1 + 1j)
-    axes = plotting.speed_response(mesh, amplitude, harmonics=(1, 3), unit="m", name="output.x")
-    assert axes.get_ylabel() == "amplitude (um)" and len(axes.lines) == 2
-    assert axes.lines[0].get_ydata()[0] == pytest.approx(2**0.5 * 1e6)
-    shares = {"stiffness.sun_support": 0.1, "inertia.sun_mass": -0.2, "inertia.disc_mass": 1e-4, "e": 0.0}
-    axes = plotting.sensitivity_bars(shares, other=shares | {"e": 1.0}, labels=("total", "Eq. 14"))
-    assert [tick.get_text() for tick in axes.get_yticklabels()] == ["sun support", "sun mass", "e"]
-    axes = plotting.spread(mesh, mean=float(mesh.mean()), sd=float(mesh.std()), unit="Hz", name="torsion")
-    heights = [bar.get_height() * bar.get_width() for bar in axes.patches]
-    assert sum(heights) == pytest.approx(1) and f"sd {mesh.std():.3g} Hz" in axes.get_legend().get_texts()[1].get_text()
-    plotting.sensitivity_curves(mesh, {"one": mesh}, field="sun_mass", unit="kg", ylabel="m/kg")
-    plotting.error_against_harmonics({"first_order": [9, 30]}, {"first_order": [0.5, 0.3]})
     plt.close("all")
 
 

@@ -269,7 +269,7 @@ def test_the_plot_of_a_loop_shows_which_samples_are_read(read):
     torque = ramp(*THREE)
     loop, found = read(torque, twist(torque))
     kept = loop.recorded
-    axes = plotting.identified.loop(
+    axes = plotting.measured_loop(
         *(loop.torque, loop.midline, loop.width, loop.midline),
         recorded=(kept.torque, kept.angle, kept.branch),
     )

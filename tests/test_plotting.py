@@ -23,15 +23,6 @@ def test_contributions_draw_every_term_and_their_sum():
     assert "+1.757 arcmin" in axes.get_title() and "(arcmin)" in axes.get_xlabel()
 
 
-def test_torque_angle_loop_closes_and_is_odd():
-    options = dict(torque_max=167.0, torque_threshold=5.0, play=1 * arcmin, stiffness=50 / arcmin)
-    axes = plotting.torque_angle_loop(**options, friction=2.0, smoothing=1.5)
-    cycle = next(line for line in axes.lines if line.get_label() == "cycle")
-    angle = cycle.get_ydata()
-    assert angle[0] == pytest.approx(angle[-1]) and angle.max() == pytest.approx(-angle.min())
-    assert "(N m)" in axes.get_xlabel() and "(arcmin)" in axes.get_ylabel()
-
-
 def test_unit_curves_are_drawn_about_their_mean_and_closed():
     angle = np.arange(8) * np.pi / 4
     curves = 3 * arcmin + arcmin * np.sin(angle)[None] * np.array([[1.0], [2.0]])
@@ -43,10 +34,10 @@ def test_unit_curves_are_drawn_about_their_mean_and_closed():
 
 def test_histogram_marks_both_limits_in_readable_units():
     values = np.linspace(-1, 1, 100) * um
-    axes = plotting.response_histogram(values, values / 2, unit="m", name="misfit", lower=-1 * um, upper=2 * um)
+    axes = plotting.histogram({"after": values / 2, "before": values}, unit="m", name="misfit", limits=(-um, 2 * um))
     labels = {text.get_text() for text in axes.get_legend().get_texts()}
     assert labels == {"before", "after", "limit -1 um", "limit 2 um"}
-    assert plotting.response_histogram(np.zeros(5), np.zeros(5), unit="m", name="constant")
+    assert plotting.histogram({"constant": np.zeros(5)}, unit="m", name="constant", limits=(-np.inf, np.inf))
 
 
 def life(seed):
@@ -57,7 +48,7 @@ def life(seed):
 def test_histogram_of_a_heavy_tail_shows_its_body():
     """On a logarithmic axis where all values are positive, else between ends that few units are beyond."""
     ends = np.append(life(0), [np.inf, np.inf])
-    axes = plotting.response_histogram(life(1), ends, unit="s", name="life", lower=100.0)
+    axes = plotting.histogram({"after": ends, "before": life(1)}, unit="s", name="life", limits=[100.0])
     assert axes.get_xscale() == "log" and axes.get_ylabel() == "density (1/decade)"
     bars = axes.patches[:80]
     step = np.log10(bars[0].get_x() + bars[0].get_width()) - np.log10(bars[0].get_x())
@@ -67,15 +58,52 @@ def test_histogram_of_a_heavy_tail_shows_its_body():
         "before", "after, 2 of 4,098 units infinite", "limit 100 s"
     }  # fmt: skip
     signed = life(0) * np.where(np.arange(4096) % 2, 1, -1)
-    for axes, bins in (
-        (plotting.response_histogram(signed, signed, unit="s", name="change"), 80),
-        (plotting.batch_histograms({"some": signed}, unit="s", name="change"), 120),
-        (plotting.dynamics.spread(signed, mean=0.0, sd=1e3, unit="s", name="change"), 60),
-    ):
-        bars, beyond = axes.patches[:bins], np.mean(np.abs(signed) > 3e5)
-        assert axes.get_xscale() == "linear" and sum(bar.get_height() > 0 for bar in bars) > bins / 2
-        assert 0.9 < sum(bar.get_height() * bar.get_width() for bar in bars) < 1 - beyond
-        assert "units are beyond the axis" in axes.get_xlabel()
+    axes = plotting.histogram({"some": signed}, unit="s", name="change")
+    bars, beyond = axes.patches[:80], np.mean(np.abs(signed) > 3e5)
+    assert axes.get_xscale() == "linear" and sum(bar.get_height() > 0 for bar in bars) > 40
+    assert 0.9 < sum(bar.get_height() * bar.get_width() for bar in bars) < 1 - beyond
+    assert "units are beyond the axis" in axes.get_xlabel()
+
+
+def test_every_batch_of_a_histogram_has_an_area_of_one():
+    values = np.append(np.linspace(0, 1, 80), np.full(20, np.nan)) * um
+    axes = plotting.histogram({"all_good": values[:80], "some": values}, unit="m", name="misfit", limits=[um])
+    assert sum(bar.get_height() * bar.get_width() for bar in axes.patches[:80]) == pytest.approx(1)
+    outline = axes.patches[80].get_xy()
+    assert np.trapezoid(outline[:-1:2, 1], outline[:-1:2, 0]) == pytest.approx(1, abs=0.02)
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["all good", "some", "limit 1 um"]
+
+
+def test_lines_are_named_and_a_gap_stays_a_gap():
+    axes = plotting.lines(
+        [-10.0, 0.0, 10.0],
+        {"a": [1.0, np.nan, 1.0], "b": [2.0, 3.0, 4.0]},
+        band={"all units": ([0.0, 0.0, 0.0], [5.0, 6.0, 7.0])},
+        looks={"b": {"marker": "o"}},
+        xlabel="error (um)",
+        ylabel="angle (arcmin)",
+        title="title",
+    )
+    np.testing.assert_array_equal(axes.lines[0].get_xydata(), [[-10, 1], [0, np.nan], [10, 1]])
+    assert [line.get_marker() for line in axes.lines] == ["None", "o"]
+    assert len({(line.get_color(), line.get_linestyle()) for line in axes.lines}) == 2
+    assert axes.collections[0].get_datalim(axes.transData).y1 == 7
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["all units", "a", "b"]
+    assert (axes.get_xlabel(), axes.get_ylabel(), axes.get_title()) == ("error (um)", "angle (arcmin)", "title")
+
+
+def test_bars_stand_at_their_names_from_the_top():
+    axes = plotting.bars(["x", "y"], {"one": [1.0, 2.0], "two": [3.0, 4.0]}, xlabel="force (N)")
+    place = {text.get_text(): tick for text, tick in zip(axes.get_yticklabels(), axes.get_yticks())}
+    found = {(bar.get_y() + bar.get_height() / 2, bar.get_width()) for bar in axes.patches}
+    at = {width: y for y, width in found}
+    assert place["x"] > place["y"] and at[1] > place["x"] > at[3] and at[2] > place["y"] > at[4]
+
+
+def test_a_negative_part_of_a_stacked_bar_extends_to_the_left():
+    axes = plotting.stacked_bars({"a": {"x": 60.0, "y": -20.0, "z": 50.0, "w": -10.0}}, xlabel="share (%)", least=55)
+    ends = [sorted((bar.get_x(), bar.get_x() + bar.get_width())) for bar in axes.patches]
+    assert ends == [[0, 60], [-20, 0], [60, 110], [-30, -20]] and [text.get_text() for text in axes.texts] == ["60"]
 
 
 def test_shares_fill_the_bar():
@@ -105,3 +133,25 @@ def test_cost_against_yield_without_rejects_has_a_logarithmic_axis(recwarn):
     axes.figure.canvas.draw()
     assert axes.get_xscale() == "log" and not recwarn.list
     assert all(line.get_xdata()[0] > 0 for line in axes.lines)
+
+
+def test_cost_bars_sum_up_and_carry_their_notes():
+    axes = plotting.cost_bars(
+        {"disc_bore": 4.0, "crank_phase": 1.0}, {"disc_bore": 2.5, "crank_phase": 2.0}, notes={"disc_bore": "wider"}
+    )
+    assert sorted(bar.get_width() for bar in axes.patches) == [1.0, 2.0, 2.5, 4.0]
+    names = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert names == ["before, 5.00 in all", "after, 4.50 in all"] and "wider" in {t.get_text() for t in axes.texts}
+
+
+def test_the_style_stays_only_where_it_is_asked_to():
+    with plt.rc_context():
+        plt.rcdefaults()
+        plt.ioff()
+        before = dict(plt.rcParams)
+        with plotting.style():
+            assert plt.rcParams["axes.grid"]
+            plt.ion()  # as the first figure of a notebook does
+        assert dict(plt.rcParams) == before | {"interactive": True}
+        plotting.use_style()
+        assert plt.rcParams["axes.grid"] and plt.rcParams["figure.dpi"] == 100

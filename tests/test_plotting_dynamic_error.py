@@ -7,7 +7,6 @@ import pytest
 
 from rvjax import plotting
 from rvjax.dynamics import SpeedSweep
-from rvjax.plotting import dynamic_error
 from rvjax.status import SolveInfo
 from rvjax.units import arcmin, rpm
 
@@ -27,7 +26,7 @@ def styled():
 
 
 def test_orders_rise_with_speed_and_carry_their_amplitudes():
-    axes = dynamic_error.campbell_amplitudes(SWEEP, SPEEDS, ratio=RATIO, modes=[10.5], highest=80.0)
+    axes = plotting.dynamics.campbell_amplitudes(SWEEP, SPEEDS, ratio=RATIO, modes=[10.5], highest=80.0)
     lines = axes.collections
     assert len(lines) == 3  # order 80 has no errors
     for line, n, height in zip(lines, ORDER[[0, 1, 3]], HEIGHT.T[[0, 1, 3]]):
@@ -38,14 +37,4 @@ def test_orders_rise_with_speed_and_carry_their_amplitudes():
     assert [text.get_text().strip() for text in axes.texts] == ["40", "78", "208"]
     assert axes.get_ylim() == (0, 80) and axes.lines[0].get_ydata()[0] == 10.5 and "(Hz)" in axes.get_ylabel()
     nothing = SWEEP.replace(amplitude=jnp.zeros_like(LINES))
-    assert not dynamic_error.campbell_amplitudes(nothing, SPEEDS, ratio=RATIO).collections
-
-
-def test_a_batch_is_drawn_by_its_quantiles():
-    values = np.outer(np.arange(1, 1001) / 100, np.ones(45))
-    values[3] = np.nan
-    axes = dynamic_error.batch_over_speed(SPEEDS / RATIO, values, unit="rad/s2", name="dynamic_vibration", limit=8.0)
-    lines = {line.get_label(): line.get_ydata()[0] for line in axes.lines}
-    assert lines["median"] == pytest.approx(5, rel=5e-3) and lines["99.73 % lie below"] == pytest.approx(9.97, rel=1e-3)
-    assert lines["worst of 999"] == 10 and lines["limit"] == 8
-    assert axes.get_ylabel() == "dynamic vibration (rad/s2)"
+    assert not plotting.dynamics.campbell_amplitudes(nothing, SPEEDS, ratio=RATIO).collections

@@ -5,7 +5,6 @@ Oracle: the numbers given to the picture, converted by hand, and the law of gear
 
 import dataclasses
 
-import jax
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -40,10 +39,6 @@ def result():
     return loaded.Loaded(pins=pins, disc_bearing=bearing, **loads, info=INFO, **rest)
 
 
-def swept(n):
-    return jax.tree.map(lambda x: np.broadcast_to(x, (n, *np.shape(x))), result())
-
-
 @pytest.mark.parametrize("disc", [0, 1])
 @pytest.mark.parametrize("output", [0.0, 0.31])
 def test_arrows_of_a_disc_start_on_its_flank_and_aim_at_the_pitch_point(disc, output):
@@ -63,18 +58,6 @@ def test_arrows_of_a_disc_start_on_its_flank_and_aim_at_the_pitch_point(disc, ou
     assert np.min(np.linalg.norm(flank - start, axis=1)) < step
     assert np.hypot(cranks.U, cranks.V).max() == pytest.approx(0 if disc else 0.4 * cycloid.pin_circle_radius / mm)
     assert legend(axes)[0] == f"1 of 40 pins, at most {2 - disc} kN"
-
-
-def test_shares_are_over_the_mean():
-    axes = plotting.loaded.load_sharing(np.linspace(0, 1, 5), swept(5))
-    assert [line.get_ydata()[0] for line in axes.lines[:4]] == [1.5, 0.5, 1.0, 1.0]
-    assert legend(axes)[:2] == ["crank 0: 1.50 to 1.50", "crank 1: 0.50 to 0.50"]
-
-
-def test_the_map_of_pins_leaves_idle_ones_white():
-    axes = plotting.loaded.pin_map(np.linspace(0, 1, 5), swept(5), disc=1)
-    shown = np.ma.filled(axes.collections[0].get_array(), np.nan).reshape(40, 5)
-    assert np.all(shown[30] == 1.0) and np.isnan(np.delete(shown, 30, axis=0)).all()
 
 
 def test_torsion_is_drawn_as_a_bench_turns_it():
@@ -100,14 +83,11 @@ def test_torsion_is_drawn_as_a_bench_turns_it():
     np.testing.assert_allclose(ends, [0.1004, 0.124], rtol=1e-9)
 
 
-def test_turn_and_orders_tell_a_known_wave():
+def test_orders_tell_a_known_wave():
     angle = 2 * np.pi * np.arange(256) / 256
     error = (2 * np.cos(40 * angle) + 0.5 * np.sin(78 * angle) + 7) * arcsec
     rest = {f.name: 0.0 for f in dataclasses.fields(loaded.Revolution)}  # what these pictures do not show
     wave = loaded.Revolution(**rest | dict(error=error, peak_to_peak=np.ptp(error), mean=7 * arcsec, info=INFO))
-    axes = plotting.loaded.output_turn({"unit": wave})
-    drawn = axes.lines[0].get_ydata()
-    assert len(drawn) == 257 and drawn[0] == drawn[-1] == pytest.approx(2)
     axes = plotting.loaded.output_orders({"unit": wave}, named=2)
     assert {text.get_text(): round(text.xy[1], 9) for text in axes.texts} == {"40": 2.0, "78": 0.5}
     assert {text.get_ha() for text in axes.texts} == {"center"}

@@ -1,63 +1,66 @@
 """Plots: functions that take numbers and results in SI and return Axes. The models never import this package."""
 
-from rvjax.plotting import (
-    assembly,
-    compensation,
-    drawings,
-    drive,
-    dynamic_error,
-    dynamics,
-    four_bar,
-    identified,
-    life,
-    loaded,
-    mesh_force,
-    running,
-)
-from rvjax.plotting.batches import batch_histograms, error_budget, rejects_against_limit
-from rvjax.plotting.lost_motion import contributions, torque_angle_loop
-from rvjax.plotting.statistics import (
-    cost_against_limit,
-    cost_against_yield,
+from rvjax.plotting import drawings, drive, dynamics, loaded
+from rvjax.plotting.bars import (
+    bars,
+    contributions,
     cost_bars,
-    response_histogram,
-    trade_front,
-    unit_curves,
+    error_budget,
+    first_failures,
+    identified_elements,
+    observation_shares,
+    phase_shares,
+    residual_orders,
+    stacked_bars,
     variance_shares,
 )
+from rvjax.plotting.curves import (
+    corrected_curve,
+    efficiency_against_torque,
+    identified_curve,
+    life_against_torque,
+    lines,
+    matched_units,
+    measured_contents,
+    measured_loop,
+    unit_curves,
+)
+from rvjax.plotting.histograms import histogram
 from rvjax.plotting.style import new_axes, style, use_style, words
-from rvjax.plotting.tradeoff import pareto, tradeoff, verdicts
+from rvjax.plotting.tradeoff import cost_against_yield, pareto, trade_front, tradeoff
 
 __all__ = [
-    "assembly",
-    "batch_histograms",
-    "compensation",
+    "bars",
     "contributions",
-    "cost_against_limit",
+    "corrected_curve",
     "cost_against_yield",
     "cost_bars",
     "drawings",
     "drive",
-    "dynamic_error",
     "dynamics",
+    "efficiency_against_torque",
     "error_budget",
-    "four_bar",
-    "identified",
-    "life",
+    "first_failures",
+    "histogram",
+    "identified_curve",
+    "identified_elements",
+    "life_against_torque",
+    "lines",
     "loaded",
-    "mesh_force",
+    "matched_units",
+    "measured_contents",
+    "measured_loop",
     "new_axes",
+    "observation_shares",
     "pareto",
-    "rejects_against_limit",
-    "response_histogram",
-    "running",
+    "phase_shares",
+    "residual_orders",
+    "stacked_bars",
     "style",
-    "torque_angle_loop",
     "trade_front",
     "tradeoff",
     "unit_curves",
     "use_style",
     "variance_shares",
-    "verdicts",
     "words",
 ]

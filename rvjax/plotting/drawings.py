@@ -1,13 +1,16 @@
-"""Drawings of frames and signs: the second stage seen along its axis, and its linkage with the errors of its parts."""
+"""Drawings of frames and signs: the second stage seen along its axis, and its linkage with the errors of its parts;
+a tooth of the oscillatory roller stage."""
 
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Rectangle
 
-from rvjax.designs import RVReducer
+from rvjax.designs import CamRollerReducer, RVReducer
+from rvjax.mesh_force import largest_roller_radius, tooth_profile
 from rvjax.plotting.style import AFTER, BEFORE, LIMIT, PALETTE, new_axes
 from rvjax.records import PyTree
 from rvjax.units import mm
@@ -238,3 +241,36 @@ def sense(axes: Axes, arc: np.ndarray, width: float) -> None:
     """
     axes.plot(*arc.T, color="black", lw=width)
     axes.annotate("", arc[-1], arc[-3], arrowprops=dict(arrowstyle="-|>", color="black", lw=width))
+
+
+def tooth(design: CamRollerReducer, *, axes: Axes | None = None) -> Axes:
+    """One tooth of the inner gear: roller centre curve, flank, and the flank at the undercut limit.
+
+    Args:
+        design: the stage.
+        axes: where to draw; a new figure by default.
+    """
+    axes = new_axes(axes)
+    pitch = 2 * np.pi / design.gear_teeth
+    angles = np.linspace(-0.75 * pitch, 0.75 * pitch, 601)
+    profiles = jax.jit(jax.vmap(tooth_profile, in_axes=(None, 0)))
+    limit = float(largest_roller_radius(design))
+    here = profiles(design, angles)
+    axes.plot(*np.asarray(here.centre).T / mm, color="0.5", ls=":", lw=1.2, label="roller centres")
+    axes.plot(
+        *np.asarray(here.flank).T / mm, color=AFTER, lw=2.0, label=f"flank, r = {design.roller_radius / mm:.4g} mm"
+    )
+    if np.isfinite(limit):
+        # the centre curve stays: a larger roller on a smaller cam
+        link = design.cam_radius + design.roller_radius
+        for radius, colour, dash, label in (
+            (limit, BEFORE, "-", f"undercut limit, r = {limit / mm:.4g} mm"),
+            (1.4 * limit, LIMIT, "--", f"undercut, r = {1.4 * limit / mm:.4g} mm"),
+        ):
+            other = profiles(design.replace(roller_radius=radius, cam_radius=link - radius), angles)
+            axes.plot(*np.asarray(other.flank).T / mm, color=colour, ls=dash, lw=1.4, label=label)
+    axes.set_aspect("equal")
+    axes.set(xlabel="x (mm)", ylabel="y (mm)", title="Tooth of the inner gear")
+    axes.margins(y=0.12)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), fontsize=9, ncols=2)
+    return axes

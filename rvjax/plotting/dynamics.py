@@ -1,14 +1,18 @@
-"""Plots of the dynamic model: natural frequencies, responses, sensitivities, accuracy."""
+"""Natural frequencies and orders over speed."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LogNorm
 
-from rvjax.dynamics import Modes, Periodic, Response
-from rvjax.plotting.style import AFTER, BEFORE, DASHES, PALETTE, Numbers, new_axes, readable_bins, words
-from rvjax.units import readable, rpm, with_unit
+from rvjax.dynamics import Modes, SpeedSweep
+from rvjax.plotting.style import PALETTE, Numbers, new_axes
+from rvjax.units import readable, rpm
 
+DECADES = 3  # of amplitude that colours show below the largest
 KIND_STYLES = {
     "rotational": (PALETTE[0], "-"),
     "translational": (PALETTE[5], "--"),
@@ -66,169 +70,68 @@ def campbell(
     return axes
 
 
-def speed_response(
-    mesh_frequency: Numbers,
-    amplitude: Numbers,
+def campbell_amplitudes(
+    sweep: SpeedSweep,
+    sun_speeds: Numbers,
     *,
-    harmonics: Sequence[int],
-    unit: str,
-    name: str,
+    ratio: float,
+    modes: Sequence[float] = (),
+    highest: float | None = None,
+    output: int = 0,
     axes: Axes | None = None,
 ) -> Axes:
-    """Amplitudes of harmonics over the mesh frequency.
+    """Frequencies of the orders over the speed of the output, thick and dark where large, and the modes they cross.
 
     Args:
-        mesh_frequency: Hz (n,).
-        amplitude: complex or magnitudes, m or rad (n, H).
-        harmonics: which to draw, from 1.
-        unit: of the amplitude, m or rad.
-        name: of the output.
+        sweep: of `dynamics.speed_sweep`.
+        sun_speeds: of the sweep, rad/s (speeds,), ascending.
+        ratio: sun turns for one of the output.
+        modes: natural frequencies to draw as lines, Hz.
+        highest: top of the frequency axis, Hz; by default that of the highest order.
+        output: which of the sweep's outputs.
         axes: where to draw; a new figure by default.
     """
     axes = new_axes(axes)
-    shown, size = readable(unit)
-    for k, order in enumerate(harmonics):
-        height = np.abs(np.asarray(amplitude)[:, order - 1]) / size
-        colour, dash = PALETTE[k % len(PALETTE)], DASHES[k % 4]
-        axes.semilogy(mesh_frequency, height, color=colour, ls=dash, lw=1.2, label=f"{order}")
-    axes.set(xlabel="mesh frequency (Hz)", ylabel=f"amplitude ({shown})", title=f"Response of {words(name)}")
-    axes.set_xlim(np.min(mesh_frequency), np.max(mesh_frequency))
-    low, high = axes.get_ylim()
-    axes.set_ylim(low, high * (high / low) ** 0.15)  # space for the legend
-    axes.legend(ncols=len(harmonics), loc="upper center", title="harmonic")
-    return axes
-
-
-def one_period(
-    exact: Periodic, responses: Mapping[str, Response], *, output: str, unit: str, axes: Axes | None = None
-) -> Axes:
-    """One output over one mesh period: the exact steady state, and truncated solutions that should meet it.
-
-    Args:
-        exact: of `dynamics.periodic`.
-        responses: {name: of `dynamics.response` under the same conditions}.
-        output: name.
-        unit: of the output, m or rad.
-        axes: where to draw; a new figure by default.
-    """
-    axes = new_axes(axes)
-    shown, size = readable(unit)
-    time, column = np.asarray(exact.time), exact.outputs.index(output)
-    turn = 2 * np.pi * time / (time[-1] + time[1])
-    motion = np.asarray(exact.deflection)[:, column]
-    axes.plot(1e3 * time, (motion - motion.mean()) / size, color="0.65", lw=4, label="exact")
-    for k, (name, found) in enumerate(responses.items()):
-        amplitude = np.asarray(found.amplitude)[:, found.outputs.index(output)]
-        order = np.arange(1, len(amplitude) + 1)
-        curve = np.real(np.exp(1j * turn[:, None] * order) @ amplitude) / size
-        axes.plot(1e3 * time, curve, DASHES[k % 4], color=PALETTE[(0, 5, 2, 3)[k % 4]], label=name)
-    axes.set(xlabel="time in one mesh period (ms)", ylabel=f"{words(output)} about its mean ({shown})")
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
-    return axes
-
-
-def sensitivity_bars(
-    shares: Mapping[str, Numbers],
-    *,
-    other: Mapping[str, Numbers] | None = None,
-    labels: tuple[str, str],
-    axes: Axes | None = None,
-) -> Axes:
-    """Log-sensitivities as bars, largest first, next to those of another formula; without those below 0.01.
-
-    Args:
-        shares: {field: relative change of the amplitude per relative change of the field}; real parts count.
-        other: the same of another formula.
-        labels: names of the two formulas.
-        axes: where to draw; a new figure by default.
-    """
-    values = {name: float(np.real(value)) for name, value in shares.items()}
-    beside = {name: float(np.real(value)) for name, value in (other or {}).items()}
-    size = {name: max(abs(value), abs(beside.get(name, 0.0))) for name, value in values.items()}
-    names = sorted((n for n in values if size[n] >= 0.01 * max(size.values())), key=lambda n: size[n])
-    axes = new_axes(axes, (7, 1.2 + 0.26 * len(names)))
-    rows, thick = np.arange(len(names)), 0.75 if other is None else 0.38
-    axes.barh(
-        rows + (0 if other is None else thick / 2), [values[n] for n in names], thick, color=AFTER, label=labels[0]
+    turns, order, height, shown = _lines(sweep, sun_speeds, ratio, output)
+    largest = height.max(initial=0) or 1.0
+    lowest, top = (
+        largest / 10**DECADES,
+        highest or float(1.05 * order.max(initial=1) * np.abs(turns).max() / (2 * np.pi)),
     )
-    if other is not None:
-        second = [beside[n] for n in names]
-        axes.barh(rows - thick / 2, second, thick, color=BEFORE, hatch="//", edgecolor="white", label=labels[1])
-    axes.set_yticks(rows, [words(n.split(".")[-1]) for n in names], fontsize=8)
-    axes.set(xlabel="relative change of the amplitude / relative change of the field", title="Log-sensitivities")
-    axes.grid(axis="y", visible=False)
-    axes.legend(loc="lower right")
+    norm = LogNorm(lowest, largest)
+    drawn: Any = None
+    ends: dict[tuple[float, float], list[str]] = {}  # of lines side by side, one label
+    for k, n in enumerate(order):
+        if not height[:, k].any():
+            continue
+        points = np.stack([turns / rpm, np.abs(n * turns) / (2 * np.pi)], axis=1)
+        value = np.maximum((height[1:, k] + height[:-1, k]) / 2, lowest)
+        drawn = LineCollection(list(np.stack([points[:-1], points[1:]], axis=1)), cmap="viridis_r", norm=norm)
+        drawn.set(array=value, linewidth=1 + 6 * np.asarray(norm(value)), capstyle="round")
+        axes.add_collection(drawn)
+        x, y = points[points[:, 1] <= top][-1] if points[0, 1] <= top else points[0]
+        near = (end for end in ends if abs(end[0] - x) < 0.1 * np.ptp(turns) / rpm and abs(end[1] - y) < 0.04 * top)
+        ends.setdefault(next(near, (x, y)), []).append(f"{n:.4g}")
+    for end, numbers in ends.items():
+        axes.annotate(" " + ", ".join(numbers), end, fontsize=8, annotation_clip=False)
+    for k, value in enumerate(modes):
+        axes.axhline(value, color="0.35", ls="--", lw=1.0, zorder=1, label="mode" if k == 0 else None)
+    axes.set(
+        xlabel="output speed (r/min)", ylabel="frequency (Hz)", xlim=(turns[0] / rpm, turns[-1] / rpm), ylim=(0, top)
+    )
+    axes.set_title("Orders per output turn (numbers) and their amplitudes", pad=14)
+    axes.grid(visible=False)
+    if modes:
+        axes.legend(loc="upper left")
+    if drawn is not None:
+        axes.figure.colorbar(drawn, ax=axes, label=f"amplitude ({shown})", pad=0.1)
     return axes
 
 
-def sensitivity_curves(
-    values: Numbers, slopes: Mapping[str, Numbers], *, field: str, unit: str, ylabel: str, axes: Axes | None = None
-) -> Axes:
-    """Magnitude of a sensitivity over the field itself, one curve for each condition.
-
-    Args:
-        values: of the field, SI (n,).
-        slopes: {condition: sensitivities (n,)}.
-        field: name of the field.
-        unit: its unit.
-        ylabel: what the curves are, with unit.
-        axes: where to draw; a new figure by default.
-    """
-    axes = new_axes(axes)
-    for k, (label, slope) in enumerate(slopes.items()):
-        axes.semilogy(values, np.abs(slope), color=PALETTE[k % len(PALETTE)], ls=DASHES[k % 4], label=label)
-    if np.max(values) > 30 * np.min(values) > 0:
-        axes.set_xscale("log")
-    axes.set(xlabel=f"{words(field)} ({unit})", ylabel=ylabel, title=f"Sensitivity to {words(field)}")
-    axes.legend()
-    return axes
-
-
-def spread(values: Numbers, *, mean: float, sd: float, unit: str, name: str, axes: Axes | None = None) -> Axes:
-    """Distribution of a response over random units, and the normal distribution of the first-order prediction.
-
-    Args:
-        values: of the response, SI (samples,), from Monte Carlo.
-        mean: response without deviations, SI.
-        sd: standard deviation by the sensitivities, SI.
-        unit: SI unit of the response.
-        name: of the response.
-        axes: where to draw; a new figure by default.
-    """
-    axes = new_axes(axes)
-    shown, size = readable(unit)
-    found = np.asarray(values)[np.isfinite(values)] / size
-    bins = readable_bins(axes, found, 60, shown)
-    weights = np.full(len(found), 1 / (max(1, len(found)) * bins.step))
-    axes.hist(found, bins.edges, weights=weights, color=AFTER, alpha=0.6, label=f"Monte Carlo, {len(found)} units")
-    of_decades, centre, width = bins.per == "decade", mean / size, sd / size
-    line = (np.geomspace if of_decades else np.linspace)(bins.edges[0], bins.edges[-1], 300)
-    normal = np.exp(-(((line - centre) / width) ** 2) / 2) / (width * np.sqrt(2 * np.pi))
-    normal *= line * np.log(10) if of_decades else 1.0
-    axes.plot(line, normal, color=BEFORE, lw=1.8, label=f"first order, sd {with_unit(width, shown, '.3g')}")
-    axes.set(xlabel=f"{words(name)} ({shown}){bins.beyond}", ylabel=f"density (1/{bins.per})")
-    axes.set_title(f"Spread of {words(name)}")
-    axes.set_ylim(0, 1.25 * axes.get_ylim()[1])  # space for the legend
-    axes.legend(loc="upper center", ncols=2)
-    return axes
-
-
-def error_against_harmonics(
-    harmonics: Mapping[str, Numbers], errors: Mapping[str, Numbers], *, axes: Axes | None = None
-) -> Axes:
-    """Error of truncated solutions against the exact one over the number of harmonics.
-
-    Args:
-        harmonics: {method: numbers of harmonics (n,)}.
-        errors: {method: rms errors relative to the moving part (n,)}.
-        axes: where to draw; a new figure by default.
-    """
-    axes = new_axes(axes)
-    for k, name in enumerate(harmonics):
-        axes.loglog(harmonics[name], errors[name], "os^D"[k % 4] + "-", color=PALETTE[k], label=words(name))
-    ticks = sorted({int(h) for numbers in harmonics.values() for h in numbers})
-    axes.set_xticks(ticks, [str(t) for t in ticks])
-    axes.set_xticks([], minor=True)
-    axes.set(xlabel="harmonics", ylabel="rms error / rms of the moving part", title="Error against the exact solution")
-    axes.legend()
-    return axes
+def _lines(
+    sweep: SpeedSweep, sun_speeds: Numbers, ratio: float, output: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, str]:
+    """Speeds of the output rad/s, orders, amplitudes (speeds, orders) in the unit that is read, and its name."""
+    shown, size = readable("rad")
+    height = np.abs(np.asarray(sweep.amplitude)[:, :, output]) / size
+    return np.asarray(sun_speeds) / ratio, np.asarray(sweep.order), height, shown

@@ -81,53 +81,6 @@ def pin_forces(
     return axes
 
 
-def load_sharing(crank_turn: Numbers, result: Loaded, *, axes: Axes | None = None) -> Axes:
-    """Load of each crank and disc, relative to equal load sharing.
-
-    Args:
-        crank_turn: turn of the cranks (n,), 0 to 1.
-        result: of `loaded.equilibrium`, one for each (n leading).
-        axes: where to draw; a new figure by default.
-    """
-    axes = new_axes(axes)
-    turn = np.asarray(crank_turn)
-    for name, values, lines in (("crank", result.gear, "-"), ("disc", result.disc_torque, "--")):
-        load = np.asarray(values)
-        share = load / load.mean(axis=1, keepdims=True)
-        for k in range(load.shape[1]):
-            colour = PALETTE[(k if name == "crank" else 3 + k) % len(PALETTE)]
-            span = f"{share[:, k].min():.2f} to {share[:, k].max():.2f}"
-            axes.plot(turn, share[:, k], lines, color=colour, label=f"{name} {k}: {span}")
-    axes.axhline(1, color="0.3", lw=0.8)
-    axes.set(xlabel="crank angle (turns)", ylabel="load over an equal share (-)", xlim=(turn[0], turn[-1]))
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize=9)
-    return axes
-
-
-def pin_map(crank_turn: Numbers, result: Loaded, *, disc: int = 0, axes: Axes | None = None) -> Axes:
-    """Force of every pin on a disc over the turn of the cranks; the load walks round the ring.
-
-    Args:
-        crank_turn: turn of the cranks (n,), equally spaced.
-        result: of `loaded.equilibrium`, one for each (n leading).
-        disc: which one.
-        axes: where to draw; a new figure by default.
-    """
-    axes = new_axes(axes)
-    force = np.asarray(result.pins)[:, disc] / 1e3
-    picture = axes.pcolormesh(
-        np.asarray(crank_turn),
-        np.arange(force.shape[1]),
-        np.where(force > 0, force, np.nan).T,
-        cmap="viridis_r",
-        vmin=0,
-    )
-    axes.figure.colorbar(picture, ax=axes, label="force (kN)")
-    axes.set(xlabel="crank angle (turns)", ylabel="pin", title=f"Pins on disc {disc}; white: without load")
-    axes.grid(visible=False)
-    return axes
-
-
 def torsion_curve(
     result: Torsion, *, torque: Numbers | None = None, angle: Numbers | None = None, axes: Axes | None = None
 ) -> Axes:
@@ -172,25 +125,6 @@ def torsion_curve(
     inset.tick_params(labelsize=8)
     axes.set(xlabel="load at the output (N m)", ylabel="angle of the output (arcmin)")
     axes.legend(loc="upper left", fontsize=9)
-    return axes
-
-
-def output_turn(turns: Mapping[str, Revolution], *, axes: Axes | None = None) -> Axes:
-    """Transmission error less its mean over a whole turn of the output.
-
-    Args:
-        turns: {name: of `loaded.revolution` with turns = 1}.
-        axes: where to draw; a new figure by default.
-    """
-    axes = new_axes(axes)
-    for k, (name, found) in enumerate(turns.items()):
-        error = (np.asarray(found.error) - float(found.mean)) / arcsec
-        degrees = 360 * np.arange(len(error) + 1) / len(error)
-        label = f"{name}: {float(found.peak_to_peak) / arcsec:.1f} arcsec peak to peak"
-        axes.plot(degrees, np.append(error, error[0]), color=PALETTE[k % len(PALETTE)], lw=0.9, label=label)
-    axes.set(xlabel="angle of the output (deg)", ylabel="transmission error less its mean (arcsec)", xlim=(0, 360))
-    axes.set_xticks(range(0, 361, 60))
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=9)
     return axes
 
 

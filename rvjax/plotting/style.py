@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -16,6 +15,8 @@ from rvjax.units import with_unit
 
 Numbers = Array | np.ndarray | Sequence[float]
 """Numbers to plot, of any library."""
+Looks = Mapping[str, Mapping[str, Any]]
+"""Options of Matplotlib by name of a curve or of bars."""
 
 BEFORE, AFTER, LIMIT = "#E69F00", "#0072B2", "#D55E00"
 PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#000000")
@@ -66,88 +67,6 @@ def new_axes(axes: Axes | None = None, size: tuple[float, float] = (7, 4.2)) -> 
 def look(k: int) -> tuple[str, str]:
     """Colour and hatch of part `k`; the second round of colours has other hatches."""
     return PALETTE[k % len(PALETTE)], HATCHES[(k + k // len(PALETTE)) % len(HATCHES)]
-
-
-def stacked_bars(
-    axes: Axes, rows: np.ndarray, widths: Mapping[str, np.ndarray], looks: Iterable[tuple[str, str]], *, least: float
-) -> None:
-    """Horizontal bars of several parts, with the number of each large part in it.
-
-    Args:
-        axes: where to draw.
-        rows: places of the bars (n,).
-        widths: {part: its width in each bar (n,)}.
-        looks: colour and hatch of each part.
-        least: width from which on a part shows its number.
-    """
-    left = np.zeros(len(rows))
-    for (name, width), (colour, hatch) in zip(widths.items(), looks):
-        axes.barh(rows, width, 0.6, left, color=colour, hatch=hatch, edgecolor="white", label=words(name))
-        for row, size, start in zip(rows, width, left):
-            if size >= least:
-                box = dict(facecolor="white", edgecolor="none", pad=1.0, alpha=0.85)
-                axes.text(start + size / 2, row, f"{size:.0f}", ha="center", va="center", bbox=box, fontsize=9)
-        left = left + width
-    axes.grid(axis="y", visible=False)
-
-
-_BODY = 20  # part of an axis that the middle 90 % of the values have, at least
-
-
-@dataclass(frozen=True)
-class Bins:
-    """Bins of a histogram whose middle 90 % of the values have a twentieth of the axis or more.
-
-    Attributes:
-        edges: ends of the bins, in the unit of the axis.
-        step: width of each, or on a logarithmic axis its decades.
-        per: measurement unit of this width.
-        beyond: text on the values outside, for the label of the axis; "" without any.
-    """
-
-    edges: Any  # (bins + 1,)
-    step: float
-    per: str
-    beyond: str
-
-
-def readable_bins(axes: Axes, values: np.ndarray, count: int, unit: str) -> Bins:
-    """Bins for values of any distribution.
-
-    The axis becomes logarithmic for positive values whose extremes are far from the others, such as lives. It ends at
-    four widths of the middle 90 % where that does not suffice.
-
-    Args:
-        axes: whose scale is set.
-        values: finite, in the unit of the axis.
-        count: of the bins.
-        unit: of the axis.
-    """
-    values = np.zeros(1) if not values.size else values
-    (low, high), all_shown = _ends(values)
-    per = unit
-    if not all_shown and values.min() > 0:
-        (low, high), _ = _ends(np.log10(values))
-        axes.set_xscale("log")
-        per = "decade"
-    edges = np.linspace(low, high, count + 1)
-    step = edges[1] - edges[0]
-    if per == "decade":
-        edges, ends = 10**edges, np.array([values.min(), values.max()])
-        edges[[0, -1]] = np.where(np.isclose(edges[[0, -1]], ends, rtol=1e-9, atol=0), ends, edges[[0, -1]])
-    outside = float(np.mean((values < edges[0]) | (values > edges[-1])))
-    return Bins(edges, float(step), per, f"; {100 * outside:.2g} % of the units are beyond the axis" if outside else "")
-
-
-def _ends(values: np.ndarray) -> tuple[tuple[float, float], bool]:
-    """Ends of an axis, and whether they are those of the values."""
-    low, high = float(values.min()), float(values.max())
-    first, last = np.quantile(values, [0.05, 0.95])
-    if low == high:
-        return (low - 0.5, high + 0.5), True
-    if not 0 < last - first < (high - low) / _BODY:
-        return (low, high), True
-    return (max(low, first - 2 * (last - first)), min(high, last + 2 * (last - first))), False
 
 
 def limit_lines(axes: Axes, limits: Iterable[float], unit: str, size: float) -> None:

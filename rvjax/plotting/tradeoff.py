@@ -1,11 +1,7 @@
-"""Error against time of every level of every model, with the levels that no other beats.
-
-Plot of the comparison with the literature: how many published values hold.
-"""
+"""Trade-offs: cost against yield, tolerances against priced outputs, error against time."""
 
 import math
-from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -14,33 +10,77 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
 from rvjax.levels import Level, Model, Table
-from rvjax.plotting.style import HATCHES, PALETTE, new_axes, stacked_bars, style, words
-
-VERDICTS = {
-    "reproduced": PALETTE[2],
-    "reproduced_with_reading": PALETTE[4],
-    "close": PALETTE[1],
-    "consistent": PALETTE[0],
-    "contradicted": PALETTE[5],
-    "not_computable": "0.75",
-}
+from rvjax.plotting.style import AFTER, BEFORE, LIMIT, PALETTE, new_axes, style, words
 
 
-def verdicts(statuses: Mapping[str, Iterable[str]], *, axes: Axes | None = None) -> Axes:
-    """Published values of each source by verdict, as stacked bars with their numbers.
+def cost_against_yield(
+    targets: Sequence[float],
+    costs: Sequence[float],
+    *,
+    chosen: tuple[float, float],
+    start: tuple[float, float],
+    axes: Axes | None = None,
+) -> Axes:
+    """Cheapest cost for each yield; the yield axis is stretched towards 1.
 
     Args:
-        statuses: {source: status word of each of its figures}.
+        targets: yields that every requirement must reach, 0 to 1.
+        costs: cheapest cost for each.
+        chosen: (yield, cost) of the allocation.
+        start: (yield, cost) of the tolerances of the study.
         axes: where to draw; a new figure by default.
     """
-    axes = new_axes(axes, (7, 1.5 + 0.5 * len(statuses)))
-    counts = {source: Counter(found) for source, found in statuses.items()}
-    rows = np.arange(len(counts))[::-1]
-    widths = {verdict: np.array([found[verdict] for found in counts.values()]) for verdict in VERDICTS}
-    stacked_bars(axes, rows, widths, zip(VERDICTS.values(), HATCHES), least=1)
-    axes.set_yticks(rows, list(counts))
-    axes.set(xlabel="published values and statements (number)")
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+    axes = new_axes(axes)
+    rejects = [1 - share for share in (*targets, chosen[0], start[0])]
+    seen = [rejected for rejected in rejects[:-1] if rejected > 0]
+    floor = min(seen, default=1e-6) / 3  # yields beyond the range of the plot are shown at its edge
+    *rejects, rejected, rejected_before = np.maximum(rejects, floor)
+    axes.plot(rejects, costs, "o-", color=AFTER, label="cheapest tolerances")
+    axes.plot(rejected, chosen[1], "*", ms=15, color=LIMIT, label="this study", zorder=3)
+    axes.plot(rejected_before, start[1], "s", ms=8, color=BEFORE, label="before", zorder=3)
+    axes.set_xscale("log")
+    axes.invert_xaxis()
+    ticks: list[float] = []
+    for steps in ((1,), (1, 2, 5), range(1, 10)):  # finer where decades label less than two places
+        ends = floor, 1.05 * max(*rejects, rejected)
+        ticks = [t for k in range(1, 7) for step in steps if ends[0] <= (t := step * 10.0**-k) <= ends[1]]
+        if len(ticks) > 1:
+            break
+    axes.set_xticks(ticks, [f"{100 * (1 - t):.6g}" for t in ticks])
+    axes.set_xticks([], minor=True)
+    axes.set(xlabel="yield of each requirement (%)", ylabel="cost", title="Cost against yield")
+    axes.legend()
+    return axes
+
+
+def trade_front(
+    points: Sequence[tuple[float, float]],
+    *,
+    chosen: tuple[float, float],
+    others: Mapping[str, tuple[float, float]],
+    label: str,
+    uncertified: Sequence[tuple[float, float]] = (),
+    axes: Axes | None = None,
+) -> Axes:
+    """Cost of the tolerances against the cost of priced outputs, for optima at several prices.
+
+    Args:
+        points: (priced outputs, tolerances) of each optimum.
+        chosen: the optimum at the prices of the study.
+        others: further points, by name; the first one is the study before.
+        label: of the priced outputs.
+        uncertified: optima whose certificate does not hold; hollow, off the line.
+        axes: where to draw; a new figure by default.
+    """
+    axes = new_axes(axes)
+    axes.plot(*zip(*sorted(points)), "o-", color=AFTER, label="optima at other prices")
+    if uncertified:
+        axes.plot(*zip(*uncertified), "o", mfc="white", color=AFTER, label="at other prices, not certified", zorder=3)
+    axes.plot(*chosen, "*", ms=15, color=LIMIT, label="joint optimum", zorder=4)
+    for number, (name, point) in enumerate(others.items()):
+        axes.plot(*point, "Ds"[number == 0], ms=8, color=PALETTE[2] if number else BEFORE, label=name, zorder=3)
+    axes.set(xlabel=f"cost of {label}", ylabel="cost of the tolerances", title="Trade front")
+    axes.legend()
     return axes
 
 

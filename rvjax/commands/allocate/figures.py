@@ -61,15 +61,12 @@ def _caption(answer: Answer, name: str) -> str:
 
 def _histogram(answer: Answer, name: str) -> "Axes":
     output, requirement = answer.study.output(name), answer.study.requirements[name]
-    of_values = requirement.limits_values
-    return rvjax.plotting.response_histogram(
-        answer.before.values[name],
-        answer.after.values[name],
+    return rvjax.plotting.histogram(
+        {"after": answer.after.values[name], "before": answer.before.values[name]},
         unit=output.unit,
         read_in=output.read_in,
         name=name,
-        upper=requirement.upper if of_values else math.inf,
-        lower=requirement.lower if of_values else -math.inf,
+        limits=(requirement.lower, requirement.upper) if requirement.limits_values else (),
     )
 
 

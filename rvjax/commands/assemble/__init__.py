@@ -259,16 +259,24 @@ def position(design: PyTree, slot: str, index: int) -> str:
 
 def _units(study: Study, found: Assembled) -> "Axes":
     parts = found.parts
-    return rvjax.plotting.assembly.units(
+    return rvjax.plotting.matched_units(
         unit_values(parts, study.seed, found.plan),
         unit_values(parts, study.seed),
         unit=study.output(parts.name).unit,
         name=parts.name,
-        upper=parts.requirement.upper,
-        lower=parts.requirement.lower,
+        limits=(parts.requirement.lower, parts.requirement.upper),
     )
 
 
 def _price_plot(prices: Sequence[Price]) -> "Axes":
-    yields = zip(*((price.share, price.alone, price.matched) for price in prices))
-    return rvjax.plotting.assembly.price_of_accuracy(*yields)
+    alone, matched = "tighter tolerances, random assembly", "opened tolerances, matched parts"
+    axes = rvjax.plotting.lines(
+        [100 * price.share for price in prices],
+        {alone: [price.alone for price in prices], matched: [price.matched for price in prices]},
+        looks={alone: {"color": "C1", "ls": "--", "marker": "s"}, matched: {"color": "C0", "ls": "-", "marker": "o"}},
+        xlabel="yield (%)",
+        ylabel="cost of the tolerances",
+        title="Tighter tolerances or matching",
+    )
+    axes.set_ylim(0, None)
+    return axes

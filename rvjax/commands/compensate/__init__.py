@@ -298,7 +298,7 @@ def _figure(curve: Curve, end: str) -> Figure:
     title = "Error and its correction" if 1 in made.order else "Error without order 1, and its correction"
     title = f"{title} {curve.label}".rstrip()
     before = periodic(curve.judged, made)
-    draw = lambda: rvjax.plotting.compensation.before_and_after(angle, before, made, title=title)  # noqa: E731
+    draw = lambda: rvjax.plotting.corrected_curve(angle, before, made, title=title)  # noqa: E731
     return Figure(f"curve{end}", title, draw)
 
 
@@ -306,7 +306,7 @@ def _measured(curve: Curve, end: str) -> Figure:
     """The readings, what was found in them, and the rest."""
     model, used = curve.judged.model, np.isin(curve.judged.model.angle, curve.judged.angle)  # no bad reading
     title = f"Measured curve, its contents and the rest {curve.label}".rstrip()
-    draw = lambda: rvjax.plotting.compensation.contents(  # noqa: E731
+    draw = lambda: rvjax.plotting.measured_contents(  # noqa: E731
         model.angle[used], model.value[used], (model.value - model.residual)[used], title=title
     )
     return Figure(f"measurement{end}", title, draw)

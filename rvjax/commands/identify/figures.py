@@ -40,17 +40,17 @@ def figures(found: Identified) -> Iterator[Figure]:
         curves = loop.torque, loop.midline, loop.width, np.asarray(posterior.prediction["angle"])
         kept = loop.recorded
         samples = None if kept is None else (kept.torque, kept.angle, kept.branch)
-        draw = lambda: rvjax.plotting.identified.loop(*curves, recorded=samples)  # noqa: E731
+        draw = lambda: rvjax.plotting.measured_loop(*curves, recorded=samples)  # noqa: E731
         yield Figure("loop", "Midline of the measured loop and of the identified unit", draw)
     caption = "Every element: prior (grey), posterior, and the limits of the drawing"
     yield Figure("elements", caption, partial(_elements, found))
     caption = "Share of each error in the curve; a negative share cancels others"
-    yield Figure("shares", caption, lambda: rvjax.plotting.identified.shares(posterior.shares))
+    yield Figure("shares", caption, lambda: rvjax.plotting.observation_shares(posterior.shares))
 
 
 def _curve(band: Band) -> "Axes":
     mean, cosine, sine = band.taken
-    return rvjax.plotting.identified.measured_curve(
+    return rvjax.plotting.identified_curve(
         band.run.angle,
         band.run.error - mean - cosine * np.cos(band.run.angle) - sine * np.sin(band.run.angle),
         predicted_angle=band.angle,
@@ -66,7 +66,7 @@ def _contents(found: Identified, place: int) -> "Axes":
     assert isinstance(run, Run)
     judged = judge(run, orders_of(found.study.design))
     model, used = judged.model, np.isin(judged.model.angle, judged.angle)  # no bad reading
-    return rvjax.plotting.compensation.contents(
+    return rvjax.plotting.measured_contents(
         model.angle[used], model.value[used], (model.value - model.residual)[used], title=run.at.text()
     )
 
@@ -74,7 +74,7 @@ def _contents(found: Identified, place: int) -> "Axes":
 def _orders(found: Identified) -> "Axes":
     assert found.posterior is not None
     residual = {name: np.asarray(x) for name, x in found.posterior.residual.items() if name != "mean"}
-    return rvjax.plotting.identified.residual_orders(residual, found.problem.sd)
+    return rvjax.plotting.residual_orders(residual, found.problem.sd)
 
 
 def _elements(found: Identified) -> "Axes":
@@ -89,7 +89,7 @@ def _elements(found: Identified) -> "Axes":
     # The tolerance of a vector limits its length: each component lies within it on both sides.
     limits = {f: (-float(t.upper) if t.is_vector else float(t.lower), float(t.upper)) for f, t in prior.items()}
     names = sorted(value, key=lambda name: -found.check.resolution[name])
-    return rvjax.plotting.identified.elements(
+    return rvjax.plotting.identified_elements(
         names,
         before={name: (ends[0][name], ends[1][name]) for name in names},
         after={name: (value[name], lower[name], upper[name]) for name in names},

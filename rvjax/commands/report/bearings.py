@@ -143,9 +143,7 @@ def _figure(lives: Lives) -> Figure:
         rows = _largest_orders(lives)
         names = [f"{int(lives.orders[k])}, {_meaning(int(lives.orders[k]), lives)}" for k in rows]
         weakest = lives.bearings[lives.weakest]
-        return plotting.life.first_failures(
-            lives.bearings, lives.first, names, lives.force[rows], weakest=weakest
-        ).axes[0]
+        return plotting.first_failures(lives.bearings, lives.first, names, lives.force[rows], weakest=weakest).axes[0]
 
     first = int(np.argmax(lives.first))
     caption = f"Which bearing fails first: {lives.bearings[first]} with {100 * lives.first[first]:.0f} %; and its loads"
@@ -157,7 +155,7 @@ def _against_torque(lives: Lives, limit: float | None) -> Figure:
         from rvjax import plotting
 
         speeds = tuple(lives.speed * factor for factor in (1 / 3, 1, 4))
-        return plotting.life.life_against_torque(
+        return plotting.life_against_torque(
             lives.torque, lives.of_torque, low=LOW, speeds=speeds, speed=lives.speed, limit=limit
         )
 
@@ -168,6 +166,6 @@ def _phase_figure(lives: Lives) -> Figure:
     def draw() -> "Axes":
         from rvjax import plotting
 
-        return plotting.life.phase_shares(_phase_names(lives), _times(lives), lives.phases)
+        return plotting.phase_shares(_phase_names(lives), _times(lives), lives.phases)
 
     return Figure("duty_phases", "Share of each phase of the duty in the time and in the damage", draw)

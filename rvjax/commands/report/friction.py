@@ -292,7 +292,7 @@ def _figure(losses: UnitLosses) -> Figure:
     def draw() -> "Axes":
         from rvjax import plotting
 
-        return plotting.running.efficiency_against_torque(
+        return plotting.efficiency_against_torque(
             losses.torque, quantiles(losses.efficiency), speeds=np.abs(losses.speeds), rated=losses.at
         )
 
