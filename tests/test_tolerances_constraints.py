@@ -26,6 +26,8 @@ from rvjax.tolerances import (
 )
 from rvjax.tolerances.allocation.constraints import Constraints
 from rvjax.tolerances.allocation.problem import problem_of
+from rvjax.tolerances.allocation.rays import Rays
+from rvjax.tolerances.allocation.result import _without_groups
 from tests.oracles.responses import Made
 
 PARTS = {name: Tolerance.symmetric(0.3) for name in "abc"}
@@ -116,7 +118,7 @@ def test_used_ways_are_those_of_the_normal_law():
         )
         assert made.ways == pytest.approx([0.3], rel=0.01)
         assert made.look(x).used == pytest.approx([sd * stats.norm.isf(0.005) / 0.3], rel=0.02)
-        assert made.beyond(x) == pytest.approx([2 * stats.norm.sf(0.3 / sd)], abs=0.002)
+        assert Rays(made)._beyond(x, 1.0) == pytest.approx([2 * stats.norm.sf(0.3 / sd)], abs=0.002)
         assert made.quantiles(x, np.array([0.1])) == pytest.approx([sd * stats.norm.isf(0.05) / 0.3], rel=0.02)
 
 
@@ -186,7 +188,7 @@ def test_a_part_that_does_not_decide_has_few_units():
     made.spare(made.look(X))
     assert made.aside == {"w"}
     before, moved = made.units.solved, X + 0.01
-    values = made._tails(moved)
+    values = made.values(moved)
     assert [len(values[name]) for name in "yw"] == [2048, 512] and made.units.solved - before == (2048 + 512) // 2
     np.testing.assert_allclose(values["w"], values["y"][:512], rtol=1e-12)
     joint = constraints(required, response=Two("both"), samples=2048, joint_target=0.99)
@@ -201,7 +203,7 @@ def test_groups_left_out_have_the_error_of_the_quantile():
     for costly in (False, True):
         made = constraints(need, costly=costly, samples=2048)
         look = made.look(X)
-        groups = [used for used, _ in made.without_groups(look, 20)]
+        groups = [used for used, _ in _without_groups(made, look)]
         assert look.used[0] == pytest.approx(np.mean(groups), rel=0.02)
         errors.append(np.std(groups) * math.sqrt(19))
     rng = np.random.default_rng(0)  # the density at the quantile from many units

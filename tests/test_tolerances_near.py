@@ -101,7 +101,7 @@ def test_a_unit_that_fails_in_one_part_fails_in_all(shift):
     made, oracle = (constraints(required, response=Of(("y", "b")), costly=True, samples=UNITS) for _ in range(2))
     x = X + np.array([0, 0, 0, 0, 0, shift])
     made.look(X)
-    found, due = made._tails(x), oracle._tails(x)
+    found, due = made.values(x), oracle.values(x)
     assert np.isnan(due["y"]).sum() > 10 and (np.isnan(found["y"]) == np.isnan(found["b"])).all()
     assert made.look(x).used == pytest.approx(oracle.look(x).used, rel=1e-12)
 

@@ -5,6 +5,7 @@ counts: its share can be wrong only if the sample already errs at the vector who
 """
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -17,6 +18,7 @@ from rvjax.tolerances.allocation.constraints import Constraints
 from rvjax.tolerances.allocation.look import DECIDES, FAILED, Look
 from rvjax.tolerances.allocation.near import NearUnits
 from rvjax.tolerances.allocation.problem import SPARE, Problem
+from rvjax.tolerances.allocation.sample import Values
 from rvjax.tolerances.allocation.tails import FEWEST
 from rvjax.tolerances.batch.statistics import Statistics, rejects
 from rvjax.tolerances.failure.failure import failure_probability
@@ -150,7 +152,7 @@ class Certifier:
         rejects, moved, n = constraints.rejects.copy(), constraints.moved.copy(), self.run.samples
         deviate, smooth = deviate_of(self.run.confidence), None
         if constraints.by_quantiles and seen.values:
-            smooth = constraints.shares(dict(seen.values), np.ones(n), np.isfinite(look.used))
+            smooth = _shares(constraints, look, dict(seen.values), np.ones(n))
         for k, row in enumerate(constraints.rows):
             if row.exact:
                 continue
@@ -179,6 +181,32 @@ class Certifier:
             ratio = reached[k] / rejects[k] * wanted / shown
             rejects[k] = min(rejects[k] * float(np.clip(ratio, 1 / _MOST, _MOST)), 0.5)
         return rejects, moved
+
+
+def rejects_at_limits(constraints: Constraints, look: Look) -> np.ndarray:
+    """Wanted rejects (c,) with which the sample of a search would just meet each limit at a look.
+
+    Args:
+        constraints: of the search.
+        look: of the search.
+    """
+    return _shares(constraints, look, constraints.values(look.x), constraints.tails.weights)
+
+
+def _shares(constraints: Constraints, look: Look, values: Values, weights: np.ndarray) -> np.ndarray:
+    """Shares (c,) with which quantiles of these units lie at the limits; the wanted rejects where none does."""
+    found = constraints.rejects.copy()
+    for k, row in enumerate(constraints.rows):
+        if not row.share or not np.isfinite(look.used[k]):
+            continue
+        margins = constraints.margins(k, values)[0]
+        low, high = math.log(found[k] / 10), math.log(min(10 * found[k], 0.5))
+        while high - low > 1e-4:
+            at = (low + high) / 2
+            level = constraints.quantile(k, margins, math.exp(at), weights[: len(margins)]).level
+            low, high = (at, high) if level > 0 else (low, at)
+        found[k] = math.exp((low + high) / 2)
+    return found
 
 
 def units_of(requirements: Mapping[str, Limits], samples: int, confidence: float = 0.95) -> int:

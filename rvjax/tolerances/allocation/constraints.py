@@ -29,7 +29,6 @@ FEW = 512
 """Units of the first look, and of a part of the response that does not decide."""
 
 _QUARTER = 2  # times as many quick units as are behind a slope, at least
-_HALVINGS = 16  # of a factor of 100: an error of 1e-4
 _SMALL = 1e-3  # way of a limit in parts of the spread, where the median lies beyond it
 
 
@@ -108,12 +107,12 @@ class Constraints(WholeSample):
         """Put quick units into the tails that decide at a vector."""
         if self.problem.costly or not self.units.parts:
             return
-        values, found = self._tails(x), list[Centres]()
+        values, found = self.values(x), list[Centres]()
         for k, row in enumerate(self.rows):
             if not row.share:
                 continue
-            margins, outward = self._margins(k, values)
-            seen = self._quantile(k, margins)
+            margins, outward = self.margins(k, values)
+            seen = self.quantile(k, margins)
             units = seen.units[np.argsort(-seen.weights, kind="stable")][:PULLED]
             if not len(units) or not math.isfinite(seen.level):
                 continue
@@ -153,9 +152,12 @@ class Constraints(WholeSample):
 
     def _in_ways(self, k: int, values: Values) -> np.ndarray:
         """Margins (n,) of the units of a row on a share, in ways of the limit."""
-        return self._margins(k, values)[0] / self.ways[k]
+        return self.margins(k, values)[0] / self.ways[k]
 
-    def _tails(self, x: np.ndarray) -> Values:
+    def values(self, x: np.ndarray) -> Values:
+        """Values (n,) of the sample at a vector by name, nan where a unit failed; none where no share is limited."""
+        if not any(row.share for row in self.rows):
+            return {}
         population = self.decisions.population(x)
         if self._near is not None:
             return self._near.values(population, self.limits())
@@ -170,15 +172,15 @@ class Constraints(WholeSample):
         """Cost and used ways at a vector; `sloped` False: without derivatives of the units."""
         decisions, n = self.decisions, self.decisions.size
         used, jacobian, errors = np.zeros(len(self.rows)), *np.zeros((2, len(self.rows), n))
-        tails = self._tails(x) if any(row.share for row in self.rows) else {}
+        values = self.values(x)
         nominal, rates, priced, towards = self.nominal(x)
         pulls: list[tuple[int, Quantile, Values]] = []
         for k, row in enumerate(self.rows):
             if row.nominal:
                 used[k], jacobian[k] = nominal[k], rates[k]
             elif row.share:
-                margins, outward = self._margins(k, tails)
-                seen = self._quantile(k, margins)
+                margins, outward = self.margins(k, values)
+                seen = self.quantile(k, margins)
                 used[k] = 1 + seen.level / self.ways[k]
                 if sloped and len(seen.units) and math.isfinite(seen.level):
                     pulls.append((k, seen, {name: pull[seen.units] * seen.weights for name, pull in outward.items()}))
@@ -235,59 +237,11 @@ class Constraints(WholeSample):
 
     def quantiles(self, x: np.ndarray, rejects: np.ndarray) -> np.ndarray:
         """Used ways (c,) of shares at a vector, if so many units (c,) may lie beyond; 0 elsewhere."""
-        values = self._tails(x) if any(row.share for row in self.rows) else {}
-        found = np.zeros(len(self.rows))
+        values, found = self.values(x), np.zeros(len(self.rows))
         for k, row in enumerate(self.rows):
             if row.share:
-                level = self._quantile(k, self._margins(k, values)[0], rejects[k]).level
+                level = self.quantile(k, self.margins(k, values)[0], rejects[k]).level
                 found[k] = 1 + level / self.ways[k]
-        return found
-
-    def beyond(self, x: np.ndarray, scale: float = 1.0) -> np.ndarray:
-        """Share of units (c,) of the sample beyond each limit at a vector; 0 where no share is limited.
-
-        Args:
-            x: the vector.
-            scale: factor on its half-widths, which may leave their range.
-        """
-        population, found = self.decisions.population(x), np.zeros(len(self.rows))
-        if scale != 1:
-            widths = zip(self.decisions.fields, map(float, self.decisions.half_widths(x)))
-            population = population.with_half_widths({name: scale * t for name, t in widths})
-        values = self.units.values(population, self.tails.z, self.aside, FEW)
-        for k, row in enumerate(self.rows):
-            if row.item is None and not row.share:  # of failed units
-                found[k] = float(np.any([np.isnan(own) for own in values.values()], axis=0).mean())
-        for k, row in enumerate(self.rows):
-            if row.share:
-                margins = self._margins(k, values)[0]
-                weights = self.tails.weights[: len(margins)]
-                found[k] = float(weights[margins > 0].sum() / weights.sum())
-        return found
-
-    def reached(self, look: Look) -> np.ndarray:
-        """Wanted rejects (c,) with which each limit would be just met at a look; those of now where none would."""
-        return self.shares(self._tails(look.x), self.tails.weights, np.isfinite(look.used))
-
-    def shares(self, values: Values, weights: np.ndarray, known: np.ndarray) -> np.ndarray:
-        """Shares (c,) with which the quantiles of units lie at the limits; the wanted rejects elsewhere.
-
-        Args:
-            values: by name (n,) of the units.
-            weights: (n,) of the units.
-            known: (c,) False for rows without a quantile.
-        """
-        found = self.rejects.copy()
-        for k, row in enumerate(self.rows):
-            if not row.share or not known[k]:
-                continue
-            margins = self._margins(k, values)[0]
-            low, high = math.log(self.rejects[k] / 10), math.log(min(10 * self.rejects[k], 0.5))
-            for _ in range(_HALVINGS):
-                at = (low + high) / 2
-                level = self._quantile(k, margins, math.exp(at), weights[: len(margins)]).level
-                low, high = (at, high) if level > 0 else (low, at)
-            found[k] = math.exp((low + high) / 2)
         return found
 
     def sizes(self) -> np.ndarray:
@@ -295,55 +249,30 @@ class Constraints(WholeSample):
         found = [(row.item and _size(row.item)) or float(way) for row, way in zip(self.rows, self.ways)]
         return np.array(found)
 
-    def without_groups(self, look: Look, count: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Used ways (c,) of shares and their derivatives (c, n) at a look without one group of the units, for each.
-
-        Args:
-            look: whose other rows stay.
-            count: of the groups.
-        """
-        values = self._tails(look.x) if any(row.share for row in self.rows) else {}
-        seen = []
-        for k, row in enumerate(self.rows):
-            if row.share and math.isfinite(look.used[k]):
-                margins, outward = self._margins(k, values)
-                units = self._quantile(k, margins).units
-                pulled = {name: pull[units] for name, pull in outward.items()}
-                rates = self.units.slopes(look.x, self.tails.z[:, units], pulled) / self.ways[k]
-                place = np.full(len(margins), -1)
-                place[units] = np.arange(len(units))
-                seen.append((k, margins, place, rates))
-        for group in range(count):
-            used, jacobian = look.used.copy(), look.jacobian.copy()
-            for k, margins, place, rates in seen:
-                kept = np.flatnonzero(np.random.default_rng(len(margins)).permutation(len(margins)) % count != group)
-                there = self._quantile(k, margins[kept], weights=self.tails.weights[kept])
-                near, weights = place[kept[there.units]], there.weights
-                if (near < 0).all():
-                    continue
-                weights = np.where(near < 0, 0.0, weights) * weights.sum() / weights[near >= 0].sum()
-                used[k], jacobian[k] = 1 + there.level / self.ways[k], rates[:, near] @ weights
-            yield used, jacobian
-
-    def leading(self, x: np.ndarray) -> dict[str, float]:
-        """{requirement: derivative of the joint margin to its margin}, in used ways."""
-        if self.problem.joint_target is None:
-            return {}
-        margins, outward = self._margins(len(self.rows) - 1, self._tails(x))
-        seen = self._quantile(len(self.rows) - 1, margins)
-        return {name: float(np.abs(pull[seen.units]) @ seen.weights) for name, pull in outward.items()}
-
-    def _quantile(
+    def quantile(
         self, k: int, margins: np.ndarray, rejects: float | None = None, weights: np.ndarray | None = None
     ) -> Quantile:
+        """Quantile of the margins (n,) of a row, at its wanted rejects or at others.
+
+        Args:
+            k: number of the row.
+            margins: of the units.
+            rejects: share of the units; None: the wanted one.
+            weights: (n,) of the units; None: those of the sample.
+        """
         rejects = float(self.rejects[k]) if rejects is None else float(rejects)
         count = len(margins)
         near = PULLED if self.problem.costly else count // _QUARTER
         weights = self.tails.weights[:count] if weights is None else weights
         return quantile(margins, weights, rejects, float(self.ways[k]), near)
 
-    def _margins(self, k: int, values: Values) -> tuple[np.ndarray, Values]:
-        """Margins (n,) of the units of a row on a share, and their derivatives (n,) to each response."""
+    def margins(self, k: int, values: Values) -> tuple[np.ndarray, Values]:
+        """Margins (n,) of the units of a row on a share, and their derivatives (n,) to each response.
+
+        Args:
+            k: number of the row.
+            values: of the units by name.
+        """
         row = self.rows[k]
         if row.item is not None:
             own = values[row.name]

@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from rvjax.population import GRADES, it_width
-from rvjax.tolerances.allocation.certificate import TESTS
+from rvjax.tolerances.allocation.certificate import TESTS, rejects_at_limits
 from rvjax.tolerances.allocation.cost import Cost
 from rvjax.tolerances.allocation.look import Look
 from rvjax.tolerances.allocation.programme import AGAIN, COARSE, MET, End, expansion
@@ -56,7 +56,7 @@ class Grades:
             if certifier.holds(best[2]) or certifier.hopeless():  # the cheapest on the sample
                 break
             constraints.rejects, constraints.moved = certifier.corrected(
-                constraints, near, best[2], constraints.reached(near), misses
+                constraints, near, best[2], rejects_at_limits(constraints, near), misses
             )
             self._known.clear()
         constraints.rejects, constraints.moved = rejects, moved

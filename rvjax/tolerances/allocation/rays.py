@@ -88,7 +88,21 @@ class Rays:
             k = int(np.argmax(high - low))
             at = (low[k] + high[k]) / 2
             most = np.where(self._rejects > 0, self._rejects, self._constraints.rejects)
-            met = self._constraints.beyond(x, scale=float(np.exp(at))) <= most
+            met = self._beyond(x, float(np.exp(at))) <= most
             low = np.where(met, np.clip(at, low, high), low)
             high = np.where(met, high, np.clip(at, low, high))
         return (low + high) / 2
+
+    def _beyond(self, x: np.ndarray, scale: float) -> np.ndarray:
+        """Share of units (c,) beyond each limit with `scale` times the half-widths; 0 where no share is limited."""
+        constraints, decisions = self._constraints, self._constraints.decisions
+        widths = dict(zip(decisions.fields, map(float, scale * decisions.half_widths(x))))
+        population = decisions.population(x).with_half_widths(widths)
+        values = constraints.units.values(population, constraints.tails.z)
+        found, weights = np.zeros(len(constraints.rows)), constraints.tails.weights
+        for k, row in enumerate(constraints.rows):
+            if row.share:
+                found[k] = float(weights[constraints.margins(k, values)[0] > 0].sum() / weights.sum())
+            elif row.item is None:  # of failed units
+                found[k] = float(np.any([np.isnan(own) for own in values.values()], axis=0).mean())
+        return found

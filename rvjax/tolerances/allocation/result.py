@@ -8,7 +8,7 @@ curvature, which the last such search corrects.
 import dataclasses
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from rvjax.base import frames
 from rvjax.population import Estimate, Population
 from rvjax.tolerances.allocation.constraints import FEW, Constraints
 from rvjax.tolerances.allocation.decisions import AT, Decisions
+from rvjax.tolerances.allocation.look import Look
 from rvjax.tolerances.allocation.programme import AGAIN, COARSE, GAIN, LOOKS, MET, End, Programme
 from rvjax.tolerances.batch.statistics import Statistics
 
@@ -149,8 +150,12 @@ def prices_of(constraints: Constraints, end: End, prices: np.ndarray, ways: np.n
     for row, price, way in zip(constraints.rows, prices, ways):
         if row.item is not None:
             found[row.name] += float(price / way)
-    for name, part in constraints.leading(end.look.x).items():
-        found[name] += float(prices[-1]) * part
+    if constraints.problem.joint_target is not None:  # the joint margin moves with that of the requirement that leads
+        last = len(constraints.rows) - 1
+        margins, outward = constraints.margins(last, constraints.values(end.look.x))
+        seen = constraints.quantile(last, margins)
+        for name, pull in outward.items():
+            found[name] += float(prices[-1] * np.abs(pull[seen.units]) @ seen.weights)
     return found
 
 
@@ -164,13 +169,38 @@ def intervals(programme: Programme, end: End, confidence: float) -> dict[str, tu
     """
     constraints, several = programme.constraints, []
     values = prices_of(constraints, end, end.prices, constraints.ways)
-    for used, jacobian in constraints.without_groups(end.look, _GROUPS):
+    for used, jacobian in _without_groups(constraints, end.look):
         there = dataclasses.replace(end.look, used=used, jacobian=jacobian)
         prices = programme.prices(there, AGAIN)
         several.append([*prices_of(constraints, end, prices, constraints.ways).values()])
     error = np.std(np.asarray(several), axis=0) * math.sqrt(_GROUPS - 1)
     half = dict(zip(values, map(float, special.stdtrit(_GROUPS - 1, (1 + confidence) / 2) * error)))
     return {name: (-value - half[name], -value + half[name]) for name, value in values.items()}
+
+
+def _without_groups(constraints: Constraints, look: Look) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Used ways (c,) and their derivatives (c, n) without one group of the units, for each group."""
+    values, seen = constraints.values(look.x), []
+    for k, row in enumerate(constraints.rows):
+        if row.share and math.isfinite(look.used[k]):
+            margins, outward = constraints.margins(k, values)
+            units = constraints.quantile(k, margins).units
+            pulled = {name: pull[units] for name, pull in outward.items()}
+            rates = constraints.units.slopes(look.x, constraints.tails.z[:, units], pulled) / constraints.ways[k]
+            place = np.full(len(margins), -1)
+            place[units] = np.arange(len(units))
+            seen.append((k, margins, place, rates))
+    for group in range(_GROUPS):
+        used, jacobian = look.used.copy(), look.jacobian.copy()
+        for k, margins, place, rates in seen:
+            kept = np.flatnonzero(np.random.default_rng(len(margins)).permutation(len(margins)) % _GROUPS != group)
+            there = constraints.quantile(k, margins[kept], weights=constraints.tails.weights[kept])
+            near, weights = place[kept[there.units]], there.weights
+            if (near < 0).all():
+                continue
+            weights = np.where(near < 0, 0.0, weights) * weights.sum() / weights[near >= 0].sum()
+            used[k], jacobian[k] = 1 + there.level / constraints.ways[k], rates[:, near] @ weights
+        yield used, jacobian
 
 
 def margins_of(constraints: Constraints, end: End) -> tuple[dict[str, float], dict[str, dict[str, float]]]:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from rvjax.tolerances.allocation.certificate import TESTS, Certifier
+from rvjax.tolerances.allocation.certificate import TESTS, Certifier, rejects_at_limits
 from rvjax.tolerances.allocation.constraints import FEW, Constraints
 from rvjax.tolerances.allocation.cost import expected_losses
 from rvjax.tolerances.allocation.decisions import ROUNDING, Lists, Places
@@ -176,7 +176,7 @@ class Search:
                 best = end, seen, constraints.rejects, constraints.moved
             elif not held:
                 missed = constraints.rejects
-            reached = constraints.reached(end.look) if self.rays is None else constraints.rejects
+            reached = rejects_at_limits(constraints, end.look) if self.rays is None else constraints.rejects
             rejects, moved = certifier.corrected(constraints, end.look, seen, reached, misses)
             if best is not None and missed is not None:  # between them: edges known from other vectors fail together
                 inside = (rejects - best[2]) * (missed - rejects) > 0
