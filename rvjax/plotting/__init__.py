@@ -4,7 +4,6 @@ from rvjax.plotting import drawings, drive, dynamics, loaded
 from rvjax.plotting.bars import (
     bars,
     contributions,
-    cost_bars,
     error_budget,
     first_failures,
     identified_elements,
@@ -27,7 +26,7 @@ from rvjax.plotting.curves import (
 )
 from rvjax.plotting.histograms import histogram
 from rvjax.plotting.style import new_axes, style, use_style, words
-from rvjax.plotting.tradeoff import cost_against_yield, pareto, trade_front, tradeoff
+from rvjax.plotting.tradeoff import cost_against_yield, cost_bars, pareto, trade_front, tradeoff
 
 __all__ = [
     "bars",

@@ -11,13 +11,11 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
 from rvjax.lost_motion import LostMotion
-from rvjax.plotting.style import AFTER, BEFORE, LIMIT, PALETTE, Looks, look, new_axes, words
+from rvjax.plotting.style import AFTER, AFTER_BARS, BEFORE, BEFORE_BARS, LIMIT, PALETTE, Looks, look, new_axes, words
 from rvjax.units import arcmin, arcsec
 
 MOST = 40
 """Most elements of one plot: those that the data move most."""
-_BEFORE_LOOK = {"color": BEFORE, "hatch": "//", "edgecolor": "white"}
-_AFTER_LOOK = {"color": AFTER, "edgecolor": "white"}
 
 
 def bars(
@@ -86,32 +84,6 @@ def stacked_bars(
     axes.set_yticks(places, list(rows))
     axes.set(xlabel=xlabel, title=title)
     axes.grid(axis="y", visible=False)
-    return axes
-
-
-def cost_bars(
-    before: Mapping[str, float],
-    after: Mapping[str, float],
-    *,
-    notes: Mapping[str, str] | None = None,
-    axes: Axes | None = None,
-) -> Axes:
-    """Cost of each tolerance before and after, with the sums in the legend.
-
-    Args:
-        before: {field: cost} of the tolerances of the study.
-        after: {field: cost} of the allocated ones.
-        notes: {field: text at the bars}, such as the two tolerances.
-        axes: where to draw; a new figure by default.
-    """
-    first, last = (f"{n}, {sum(c.values()):.2f} in all" for n, c in (("before", before), ("after", after)))
-    rows = {first: list(before.values()), last: [after[field] for field in before]}
-    looks = {first: _BEFORE_LOOK, last: _AFTER_LOOK}
-    axes = bars([words(f) for f in before], rows, xlabel="cost (units of the study)", looks=looks, axes=axes)
-    for row, field in enumerate(reversed(list(before))):
-        place, text = (max(before[field], after[field]), row), (notes or {}).get(field, "")
-        axes.annotate(text, place, xytext=(6, 0), textcoords="offset points", va="center", fontsize=9)
-    axes.set_xlim(0, 1.45 * max(*before.values(), *after.values()))
     return axes
 
 
@@ -188,7 +160,7 @@ def first_failures(
     left.set_yticks(range(len(share)), bearings)
     left.set(xlabel="probability to fail first (%)", title="Which bearing fails first")
     whole = dict(zip(("errors at the centre of their limits", "root mean square over the units"), force.T / 1e3))
-    looks = dict(zip(whole, (_AFTER_LOOK, _BEFORE_LOOK)))
+    looks = dict(zip(whole, (AFTER_BARS, BEFORE_BARS)))
     bars(orders, whole, xlabel="amplitude (kN)", title=f"Force on {weakest}, by order", looks=looks, axes=right)
     right.legend(loc="upper center", bbox_to_anchor=(0.4, -0.16), fontsize=8)
     left.margins(x=0.12)

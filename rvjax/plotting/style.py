@@ -19,6 +19,8 @@ Looks = Mapping[str, Mapping[str, Any]]
 """Options of Matplotlib by name of a curve or of bars."""
 
 BEFORE, AFTER, LIMIT = "#E69F00", "#0072B2", "#D55E00"
+BEFORE_BARS = {"color": BEFORE, "hatch": "//", "edgecolor": "white"}
+AFTER_BARS = {"color": AFTER, "edgecolor": "white"}
 PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#000000")
 DASHES = ("-", "--", "-.", ":")
 HATCHES = ("", "//", "..", "xx", "\\\\", "++", "oo", "--")

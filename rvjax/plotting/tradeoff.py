@@ -1,4 +1,4 @@
-"""Trade-offs: cost against yield, tolerances against priced outputs, error against time."""
+"""Costs and trade-offs: of each tolerance, against yield, against priced outputs; error against time."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -10,7 +10,34 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
 from rvjax.levels import Level, Model, Table
-from rvjax.plotting.style import AFTER, BEFORE, LIMIT, PALETTE, new_axes, style, words
+from rvjax.plotting.bars import bars
+from rvjax.plotting.style import AFTER, AFTER_BARS, BEFORE, BEFORE_BARS, LIMIT, PALETTE, new_axes, style, words
+
+
+def cost_bars(
+    before: Mapping[str, float],
+    after: Mapping[str, float],
+    *,
+    notes: Mapping[str, str] | None = None,
+    axes: Axes | None = None,
+) -> Axes:
+    """Cost of each tolerance before and after, with the sums in the legend.
+
+    Args:
+        before: {field: cost} of the tolerances of the study.
+        after: {field: cost} of the allocated ones.
+        notes: {field: text at the bars}, such as the two tolerances.
+        axes: where to draw; a new figure by default.
+    """
+    first, last = (f"{n}, {sum(c.values()):.2f} in all" for n, c in (("before", before), ("after", after)))
+    rows = {first: list(before.values()), last: [after[field] for field in before]}
+    looks = {first: BEFORE_BARS, last: AFTER_BARS}
+    axes = bars([words(f) for f in before], rows, xlabel="cost (units of the study)", looks=looks, axes=axes)
+    for row, field in enumerate(reversed(list(before))):
+        place, text = (max(before[field], after[field]), row), (notes or {}).get(field, "")
+        axes.annotate(text, place, xytext=(6, 0), textcoords="offset points", va="center", fontsize=9)
+    axes.set_xlim(0, 1.45 * max(*before.values(), *after.values()))
+    return axes
 
 
 def cost_against_yield(
