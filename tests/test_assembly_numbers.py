@@ -9,12 +9,10 @@ from assembly_cases import UNIT, kind, measured, square
 from scipy import special, stats
 
 from rvjax.assembly import plan
-from rvjax.assembly.alternation import alternated_by
-from rvjax.assembly.belief import belief
+from rvjax.assembly.belief import belief, draw, known
 from rvjax.assembly.costs import Machine
 from rvjax.assembly.on_demand import OnDemand
-from rvjax.assembly.parts import known
-from rvjax.assembly.supply import Supply, beyond, draw
+from rvjax.assembly.supply import Supply, alternated_by, beyond
 from rvjax.tolerances import Requirement, Tolerance
 
 

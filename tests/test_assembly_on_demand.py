@@ -11,9 +11,8 @@ from assembly_cases import kind
 
 from rvjax import Status
 from rvjax.assembly import Kind, Part, costs, on_demand, plan
+from rvjax.assembly.belief import draw, known
 from rvjax.assembly.costs import Machine
-from rvjax.assembly.parts import known
-from rvjax.assembly.supply import draw
 from rvjax.tolerances import Outcome, Requirement
 
 LIMIT = Requirement(upper=0.6)

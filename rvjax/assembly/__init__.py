@@ -3,13 +3,12 @@
 Parts + measurement uncertainty --believed--> what is known --plan--> build list --fresh draws--> what it gains
 """
 
-from rvjax.assembly.belief import believed
+from rvjax.assembly.belief import believed, draw as draw, known as known
 from rvjax.assembly.costs import Machine as Machine, UnitResponse as UnitResponse
 from rvjax.assembly.opening import Opening, opening
-from rvjax.assembly.outliers import Outlier, UnusualPart, outliers
-from rvjax.assembly.parts import Kind, Part, known as known
+from rvjax.assembly.parts import Kind, Outlier, Part, UnusualPart, outliers
 from rvjax.assembly.plan import OBJECTIVES as OBJECTIVES, Plan, plan
-from rvjax.assembly.supply import draw as draw, supply_of as supply_of
+from rvjax.assembly.supply import supply_of as supply_of
 
 __all__ = [
     "Kind",

@@ -1,9 +1,11 @@
-"""Posterior of a measured part: from the value, the spread of the gauge and the population.
+"""What is known of measured parts: their posterior from value, spread of the gauge and population, and draws of it.
 
 Without the population a plan chases the noise of the gauge: the best of many noisy values is mostly noise.
 """
 
 import dataclasses
+import zlib
+from collections.abc import Hashable, Mapping
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +13,8 @@ import numpy as np
 from scipy import special
 
 from rvjax._jax.checks import checked, numbers
-from rvjax.records import Scalar
+from rvjax.assembly.parts import Kind, Part, at_path
+from rvjax.records import PyTree, Scalar
 from rvjax.tolerances import Tolerance
 
 NODES = 129
@@ -136,3 +139,132 @@ def _on_nodes(tolerance: Tolerance, value: np.ndarray, sd: np.ndarray) -> Belief
     nodes = np.where(exact, y, nodes)
     below = np.cumsum(weight, axis=0) - weight / 2
     return Belief(mean.reshape(value.shape), spread.reshape(value.shape), nodes, below)
+
+
+def _left_out(value: object, part: Part) -> bool:
+    """Return whether a field of a record is not measured: the default 0.0, without a standard deviation."""
+    return isinstance(value, float) and value == 0.0 and isinstance(part.sd, (int, float))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Known:
+    """All parts of a kind, in an order that depends on the errors only.
+
+    A plan does not depend on names and order of the parts.
+
+    Attributes:
+        kind: as given.
+        order: place in `kind.parts` of each part (parts,).
+        pieces: of each part (parts,).
+        beliefs: of each leaf of the errors that is no constant zero.
+        still: places of the leaves that are a constant zero.
+        structure: of the errors of one part.
+    """
+
+    kind: Kind
+    order: np.ndarray
+    pieces: np.ndarray
+    beliefs: tuple[Belief, ...]
+    still: frozenset[int]
+    structure: PyTree
+
+    @property
+    def certain(self) -> bool:
+        """True if no error is random."""
+        return all(one.certain for one in self.beliefs)
+
+    def id_of(self, place: int) -> Hashable:
+        """Label of a part."""
+        return self.kind.parts[int(self.order[place])].id
+
+    def drawn(self, rng: np.random.Generator, draws: int, *, alike: bool) -> list[np.ndarray]:
+        """Errors by leaf (parts, draws, *shape).
+
+        Args:
+            rng: random numbers.
+            draws: their count; 1 with nothing to draw.
+            alike: antithetic draws that are common to all parts; else each part has its own.
+        """
+        leaves = []
+        for one in self.beliefs:
+            shape = one.mean.shape[1:]
+            if one.certain:
+                leaves.append(np.broadcast_to(one.mean[:, None], (len(one.mean), draws, *shape)))
+                continue
+            if alike:
+                half = rng.standard_normal((1, draws // 2, *shape))
+                z = np.concatenate([half, -half, np.zeros((1, draws % 2, *shape))], axis=1)
+            else:
+                z = rng.standard_normal((len(one.mean), draws, *shape))
+            leaves.append(one.drawn(z))
+        return leaves
+
+
+def known(kind: Kind, slot: str) -> Known:
+    """Measured parts of one kind.
+
+    Raises:
+        ValueError: parts whose errors differ in structure or shape.
+    """
+    columns, structure = [], None
+    for part in kind.parts:
+        leaves, own = jax.tree_util.tree_flatten_with_path(part.errors)
+        if structure is not None and own != structure:
+            raise ValueError(f"{slot}: the errors of part {part.id!r} must have the structure of the parts before it")
+        structure = own
+        columns.append(leaves)
+    population = getattr(kind.population, "tolerances", kind.population)
+    values, spreads, tolerances, still = [], [], [], set()
+    for place, (path, _) in enumerate(columns[0]):
+        name = jax.tree_util.keystr(path, simple=True, separator=".")
+        given = [column[place][1] for column in columns]
+        tolerance = at_path(population, path, None)
+        if tolerance is not None and not isinstance(tolerance, Tolerance):
+            raise ValueError(f"{slot}: population of {name} = {tolerance!r}: must be a Tolerance or None")
+        of_record = bool(path) and isinstance(path[-1], jax.tree_util.GetAttrKey)
+        if of_record and tolerance is None and all(map(_left_out, given, kind.parts)):
+            still.add(place)
+            continue
+        try:
+            stacked = np.stack(np.broadcast_arrays(*map(np.asarray, given)))
+            spread = [
+                np.broadcast_to(np.asarray(at_path(p.sd, path, 0.0), float), stacked.shape[1:]) for p in kind.parts
+            ]
+        except ValueError:
+            raise ValueError(f"{slot}: {name} must have one shape in all parts") from None
+        if tolerance is None and np.isinf(spread).any():
+            raise ValueError(f"{slot}: {name} is not measured (sd = inf); give its population")
+        values.append(stacked if np.iscomplexobj(stacked) else stacked.astype(float))
+        spreads.append(np.stack(spread))
+        tolerances.append(tolerance)
+    keys = [
+        np.concatenate([np.empty(0), *(np.ravel(x[k]) for x in (*values, *spreads))]) for k in range(len(kind.parts))
+    ]
+    pieces = kind.pieces
+    order = np.array(sorted(range(len(kind.parts)), key=lambda k: (tuple(keys[k].view(float)), pieces[k])))
+    beliefs = tuple(belief(v[order], s[order], t) for v, s, t in zip(values, spreads, tolerances))
+    return Known(kind, order, pieces[order], beliefs, frozenset(still), structure)
+
+
+def draw(
+    slots: Mapping[str, Known], seed: int, purpose: int, draws: int, *, alike: bool
+) -> dict[str, list[np.ndarray]]:
+    """Errors of all parts by slot; the draws of a slot depend on its name, not on its place.
+
+    Args:
+        slots: what is known of the parts.
+        seed: of the study.
+        purpose: 0 to choose, 1 to value; draws for one never serve the other.
+        draws: their count.
+        alike: common to all parts of a slot.
+    """
+    errors: dict[str, list[np.ndarray]] = {}
+    by_stock: dict[int, str] = {}
+    for slot, one in slots.items():
+        if not alike and id(one) in by_stock:
+            errors[slot] = errors[by_stock[id(one)]]  # the same piece in any slot
+            continue
+        by_stock.setdefault(id(one), slot)
+        rng = np.random.default_rng([seed % 2**64, purpose, zlib.crc32(slot.encode())])
+        errors[slot] = one.drawn(rng, draws, alike=alike)
+    return errors

@@ -14,9 +14,8 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
-from rvjax.assembly.alternation import alternate, lagrangian, stopped
 from rvjax.assembly.costs import Costs
-from rvjax.assembly.supply import Build, Supply, assigned, copies
+from rvjax.assembly.supply import Build, Supply, alternate, assigned, copies, lagrangian, stopped
 
 EXACT = 20_000
 """Combinations up to which HiGHS proves its plan."""

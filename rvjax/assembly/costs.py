@@ -11,7 +11,7 @@ import numpy as np
 
 from rvjax._jax.kernels import in_blocks
 from rvjax._jax.sizes import ASSEMBLED
-from rvjax.assembly.parts import Known
+from rvjax.assembly.belief import Known
 from rvjax.records import PyTree, Scalar
 from rvjax.response import evaluate, per_response
 from rvjax.status import succeeded

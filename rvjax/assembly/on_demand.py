@@ -11,10 +11,9 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from rvjax._jax.sizes import COMBINATIONS
-from rvjax.assembly.alternation import alternated_by, keeps_best, stopped
 from rvjax.assembly.choice import least_largest, least_sum
 from rvjax.assembly.costs import Machine, best_turn, good, valued
-from rvjax.assembly.supply import Build, Supply
+from rvjax.assembly.supply import Build, Supply, alternated_by, keeps_best, stopped
 from rvjax.base.progress import detail
 from rvjax.tolerances import Requirement
 

@@ -8,10 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.checks import checked
+from rvjax.assembly.belief import draw, known
 from rvjax.assembly.choice import chosen
 from rvjax.assembly.costs import Machine, UnitResponse, costs, good
-from rvjax.assembly.parts import Kind, Part, at_path, known
-from rvjax.assembly.supply import draw, supply_of
+from rvjax.assembly.parts import Kind, Part, at_path
+from rvjax.assembly.supply import supply_of
 from rvjax.records import PyTree
 from rvjax.roots import bisect
 from rvjax.tolerances import Requirement, Tolerance

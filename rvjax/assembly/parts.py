@@ -1,4 +1,4 @@
-"""Parts with measured errors, kinds of parts, and the distribution of the errors of a kind."""
+"""Parts with measured errors, kinds of parts, and parts unlike the others: mostly a wrong unit or sign."""
 
 import dataclasses
 import operator
@@ -8,7 +8,7 @@ from typing import SupportsIndex
 import jax
 import numpy as np
 
-from rvjax.assembly.belief import Belief, belief
+from rvjax.base.columns import element
 from rvjax.records import PyTree, Record
 from rvjax.tolerances import Tolerance
 
@@ -126,106 +126,105 @@ def at_path(structure: object, path: Path, absent: object) -> PyTree:
     return structure
 
 
-def _left_out(value: object, part: Part) -> bool:
-    """Return whether a field of a record is not measured: the default 0.0, without a standard deviation."""
-    return isinstance(value, float) and value == 0.0 and isinstance(part.sd, (int, float))
+_HALF_WIDTHS = 3.0  # from the middle of the limits: nine standard deviations of a process that just fills them
+_SPREADS = 10.0  # from the median of the lot, by its median deviation: no lot of one process has such a part
+_LOT = 6  # parts that show a spread
+_FEW = 0.2  # of the parts; more are a lot of their own
+_GAUGE = 4.0  # standard deviations of the measurement
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Known:
-    """All parts of a kind, in an order that depends on the errors only.
+class UnusualPart(UserWarning):
+    """A part whose errors lie far beyond their limits, or beyond those of all others."""
 
-    A plan does not depend on names and order of the parts.
+
+@dataclasses.dataclass(frozen=True)
+class Outlier:
+    """One error of one part.
 
     Attributes:
-        kind: as given.
-        order: place in `kind.parts` of each part (parts,).
-        pieces: of each part (parts,).
-        beliefs: of each leaf of the errors that is no constant zero.
-        still: places of the leaves that are a constant zero.
-        structure: of the errors of one part.
+        id: of the part.
+        name: of the error or its element.
+        value: measured, SI.
+        away: its distance, in the half-widths or spreads of `measure`.
+        measure: what the distance is counted in, as a text.
     """
 
-    kind: Kind
-    order: np.ndarray
-    pieces: np.ndarray
-    beliefs: tuple[Belief, ...]
-    still: frozenset[int]
-    structure: PyTree
+    id: Hashable
+    name: str
+    value: float
+    away: float
+    measure: str
 
-    @property
-    def certain(self) -> bool:
-        """True if no error is random."""
-        return all(one.certain for one in self.beliefs)
-
-    def id_of(self, place: int) -> Hashable:
-        """Label of a part."""
-        return self.kind.parts[int(self.order[place])].id
-
-    def drawn(self, rng: np.random.Generator, draws: int, *, alike: bool) -> list[np.ndarray]:
-        """Errors by leaf (parts, draws, *shape).
+    def text(self, part: str, value: str) -> str:
+        """One line.
 
         Args:
-            rng: random numbers.
-            draws: their count; 1 with nothing to draw.
-            alike: antithetic draws that are common to all parts; else each part has its own.
+            part: its name for the reader.
+            value: with its unit.
         """
-        leaves = []
-        for one in self.beliefs:
-            shape = one.mean.shape[1:]
-            if one.certain:
-                leaves.append(np.broadcast_to(one.mean[:, None], (len(one.mean), draws, *shape)))
-                continue
-            if alike:
-                half = rng.standard_normal((1, draws // 2, *shape))
-                z = np.concatenate([half, -half, np.zeros((1, draws % 2, *shape))], axis=1)
-            else:
-                z = rng.standard_normal((len(one.mean), draws, *shape))
-            leaves.append(one.drawn(z))
-        return leaves
+        return f"{part}: {self.name} = {value} lies {self.away:.3g} {self.measure}; check its unit and sign"
 
 
-def known(kind: Kind, slot: str) -> Known:
-    """Measured parts of one kind.
+def outliers(kind: Kind) -> tuple[Outlier, ...]:
+    """Parts that do not belong to the others, the furthest first; at most one error of each.
 
-    Raises:
-        ValueError: parts whose errors differ in structure or shape.
+    An error counts that lies more than 3 half-widths from the middle of its limits. So does one of few that lie more
+    than 10 standard deviations of the lot from its median: without limits, beyond them, or at the median's mirror
+    image. Four standard deviations of the measurement are allowed for.
+
+    Args:
+        kind: parts.
     """
-    columns, structure = [], None
-    for part in kind.parts:
-        leaves, own = jax.tree_util.tree_flatten_with_path(part.errors)
-        if structure is not None and own != structure:
-            raise ValueError(f"{slot}: the errors of part {part.id!r} must have the structure of the parts before it")
-        structure = own
-        columns.append(leaves)
     population = getattr(kind.population, "tolerances", kind.population)
-    values, spreads, tolerances, still = [], [], [], set()
-    for place, (path, _) in enumerate(columns[0]):
-        name = jax.tree_util.keystr(path, simple=True, separator=".")
-        given = [column[place][1] for column in columns]
+    unusual: dict[Hashable, Outlier] = {}
+    paths = [path for path, _ in jax.tree_util.tree_flatten_with_path(kind.parts[0].errors)[0]]
+    for path in paths:
         tolerance = at_path(population, path, None)
-        if tolerance is not None and not isinstance(tolerance, Tolerance):
-            raise ValueError(f"{slot}: population of {name} = {tolerance!r}: must be a Tolerance or None")
-        of_record = bool(path) and isinstance(path[-1], jax.tree_util.GetAttrKey)
-        if of_record and tolerance is None and all(map(_left_out, given, kind.parts)):
-            still.add(place)
-            continue
-        try:
-            stacked = np.stack(np.broadcast_arrays(*map(np.asarray, given)))
-            spread = [
-                np.broadcast_to(np.asarray(at_path(p.sd, path, 0.0), float), stacked.shape[1:]) for p in kind.parts
-            ]
-        except ValueError:
-            raise ValueError(f"{slot}: {name} must have one shape in all parts") from None
-        if tolerance is None and np.isinf(spread).any():
-            raise ValueError(f"{slot}: {name} is not measured (sd = inf); give its population")
-        values.append(stacked if np.iscomplexobj(stacked) else stacked.astype(float))
-        spreads.append(np.stack(spread))
-        tolerances.append(tolerance)
-    keys = [
-        np.concatenate([np.empty(0), *(np.ravel(x[k]) for x in (*values, *spreads))]) for k in range(len(kind.parts))
-    ]
-    pieces = kind.pieces
-    order = np.array(sorted(range(len(kind.parts)), key=lambda k: (tuple(keys[k].view(float)), pieces[k])))
-    beliefs = tuple(belief(v[order], s[order], t) for v, s, t in zip(values, spreads, tolerances))
-    return Known(kind, order, pieces[order], beliefs, frozenset(still), structure)
+        for one in _of_error(kind, path, tolerance if isinstance(tolerance, Tolerance) else None):
+            if one.id not in unusual or one.away > unusual[one.id].away:
+                unusual[one.id] = one
+    return tuple(sorted(unusual.values(), key=lambda one: -one.away))
+
+
+def _of_error(kind: Kind, path: Path, tolerance: Tolerance | None) -> list[Outlier]:
+    """Of all elements of one error."""
+    read = [(part, np.asarray(at_path(part.errors, path, np.nan))) for part in kind.parts]
+    shape = read[0][1].shape
+    if any(values.shape != shape or np.iscomplexobj(values) for _, values in read):
+        return []
+    values = np.array([array for _, array in read], float)
+    gauge = np.array([np.broadcast_to(np.asarray(at_path(part.sd, path, 0.0), float), shape) for part, _ in read])
+    name, unusual = jax.tree_util.keystr(path, simple=True, separator=".") or "errors", []
+    for place in np.ndindex(shape):
+        column, noise = values[:, *place], gauge[:, *place]
+        for k, away, measure in _of_column(column, noise, tolerance):
+            unusual.append(Outlier(kind.parts[k].id, element(name, place), float(column[k]), away, measure))
+    return unusual
+
+
+def _of_column(values: np.ndarray, gauge: np.ndarray, tolerance: Tolerance | None) -> list[tuple[int, float, str]]:
+    """Place, distance and its measure of the unusual ones of measured values (parts,)."""
+    known = np.isfinite(gauge)
+    noise = np.where(known, _GAUGE * gauge, 0.0)
+    unusual: dict[int, tuple[int, float, str]] = {}
+    outside = np.full(len(values), True)
+    if tolerance is not None and tolerance.half_width > 0:
+        vector = tolerance.is_vector  # a component lies on both sides of zero
+        middle, half = (0.0, tolerance.upper) if vector else (tolerance.middle, tolerance.half_width)
+        off = np.abs(values - float(middle)) - noise
+        outside = off > float(half)
+        for k in np.flatnonzero(known & (off > _HALF_WIDTHS * float(half))):
+            away = float(abs(values[k] - float(middle)) / float(half))
+            unusual[int(k)] = int(k), away, "half-widths from the middle of its limits"
+    lot = values[known]
+    if len(lot) < _LOT:
+        return list(unusual.values())
+    median = float(np.median(lot))
+    spread = 1.4826 * float(np.median(np.abs(lot - median)))
+    mirrored = (np.abs(values + median) < _SPREADS * spread) & (abs(median) > _SPREADS * spread)
+    far = known & (np.abs(values - median) - noise > _SPREADS * spread) & (outside | mirrored)
+    if 0 < far.sum() <= _FEW * len(lot) and spread > 0:
+        for k in np.flatnonzero(far):
+            away = float(abs(values[k] - median) / spread)
+            unusual.setdefault(int(k), (int(k), away, "standard deviations of the lot from its median"))
+    return list(unusual.values())

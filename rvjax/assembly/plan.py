@@ -8,13 +8,12 @@ from collections.abc import Hashable, Mapping
 import numpy as np
 
 from rvjax._jax.checks import checked
-from rvjax.assembly.alternation import best_so_far
+from rvjax.assembly.belief import Known, draw, known
 from rvjax.assembly.choice import CLOSE, EXACT, chosen
 from rvjax.assembly.costs import Costs, Machine, UnitResponse, costs, good
 from rvjax.assembly.on_demand import MOST_VALUED, PILOTS, OnDemand, chosen_on_demand, too_many
-from rvjax.assembly.outliers import UnusualPart, outliers
-from rvjax.assembly.parts import Kind, Known, known
-from rvjax.assembly.supply import Build, Supply, as_they_lie, draw, in_order, left_over, supply_of
+from rvjax.assembly.parts import Kind, UnusualPart, outliers
+from rvjax.assembly.supply import Build, Supply, best_so_far, supply_of
 from rvjax.base.words import choose
 from rvjax.population import deviate_of, score_interval
 from rvjax.tolerances import Estimate, Requirement
@@ -312,3 +311,34 @@ def _random_assembly(
     with np.errstate(invalid="ignore"):
         mean = weighed / (share * right).sum(axis=1)
     return mean, (share * good(values, requirement)).sum(axis=1)
+
+
+def as_they_lie(slots: Mapping[str, Known], supply: Supply) -> Build:
+    """Combine the first pieces of every stock; the first pieces of a shared stock go into the first slot."""
+    rows: list[np.ndarray] = [np.empty(0)] * len(slots)
+    for group in set(supply.group):
+        own = supply.slots(group)
+        one = list(slots.values())[own[0]]
+        place = np.argsort(one.order)  # of each part as given
+        pool = np.repeat(place, one.kind.pieces)
+        for number, slot in enumerate(own):
+            rows[slot] = pool[number : supply.units * len(own) : len(own)]
+    return [tuple(map(int, unit)) for unit in zip(*rows)]
+
+
+def in_order(build: Build, slots: Mapping[str, Known]) -> Build:
+    """Units in the order in which the parts of the first slot lie there, then those of the second."""
+    orders = [one.order for one in slots.values()]
+    return sorted(build, key=lambda unit: tuple(int(order[place]) for order, place in zip(orders, unit)))
+
+
+def left_over(slots: Mapping[str, Known], supply: Supply, place: np.ndarray) -> dict[str, tuple[Hashable, ...]]:
+    """Ids of unused pieces in the order given, each as often as there are pieces."""
+    ids = {}
+    for number, (slot, one) in enumerate(slots.items()):
+        left = one.pieces.copy()
+        for other in supply.slots(supply.group[number]):
+            np.subtract.at(left, place[:, other], 1)
+        in_order = np.argsort(one.order)
+        ids[slot] = tuple(one.id_of(k) for k in in_order for _ in range(left[k]))
+    return ids

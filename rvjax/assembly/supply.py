@@ -1,13 +1,19 @@
-"""Stocks that feed the slots: the errors of their parts, the units that they allow, the exact assignment of two."""
+"""Stocks that feed the slots: units that they allow, exact assignment of two, plans of more of them and their bound.
 
+Of many slots one after the other is assigned exactly; a Lagrangian bounds what any plan can reach.
+"""
+
+import contextlib
 import dataclasses
-import zlib
-from collections.abc import Hashable, Mapping
+import itertools
+from collections.abc import Callable, Iterator, Mapping
+from contextvars import ContextVar
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from rvjax.assembly.parts import Known
+from rvjax.assembly.belief import Known
+from rvjax.base.progress import detail
 
 Build = list[tuple[int, ...]]
 
@@ -102,56 +108,201 @@ def supply_of(slots: Mapping[str, Known]) -> Supply:
     return Supply(pieces, group, units)
 
 
-def draw(
-    slots: Mapping[str, Known], seed: int, purpose: int, draws: int, *, alike: bool
-) -> dict[str, list[np.ndarray]]:
-    """Errors of all parts by slot; the draws of a slot depend on its name, not on its place.
+ROUNDS = 150  # of the Lagrangian
+
+Price = Callable[[tuple[np.ndarray, ...]], np.ndarray]
+"""Places of the parts of each slot, broadcast against each other -> finite costs of these combinations."""
+
+_UNSEARCHED: ContextVar[list[int] | None] = ContextVar("unsearched", default=None)
+
+
+@contextlib.contextmanager
+def best_so_far(wanted: bool) -> Iterator[list[int]]:
+    """End an interrupted search with its best plan; yields the counts of random plans that were left.
 
     Args:
-        slots: what is known of the parts.
-        seed: of the study.
-        purpose: 0 to choose, 1 to value; draws for one never serve the other.
-        draws: their count.
-        alike: common to all parts of a slot.
+        wanted: False lets it pass as always.
     """
-    errors: dict[str, list[np.ndarray]] = {}
-    by_stock: dict[int, str] = {}
-    for slot, one in slots.items():
-        if not alike and id(one) in by_stock:
-            errors[slot] = errors[by_stock[id(one)]]  # the same piece in any slot
-            continue
-        by_stock.setdefault(id(one), slot)
-        rng = np.random.default_rng([seed % 2**64, purpose, zlib.crc32(slot.encode())])
-        errors[slot] = one.drawn(rng, draws, alike=alike)
-    return errors
+    left: list[int] = []
+    token = _UNSEARCHED.set(left if wanted else None)
+    try:
+        yield left
+    finally:
+        _UNSEARCHED.reset(token)
 
 
-def as_they_lie(slots: Mapping[str, Known], supply: Supply) -> Build:
-    """Combine the first pieces of every stock; the first pieces of a shared stock go into the first slot."""
-    rows: list[np.ndarray] = [np.empty(0)] * len(slots)
+@contextlib.contextmanager
+def keeps_best() -> Iterator[None]:
+    """End the search at an interruption if `best_so_far` requires its best plan."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        left = _UNSEARCHED.get()
+        if left is None:
+            raise
+        left.append(1)
+
+
+def stopped() -> bool:
+    """Return whether the search was interrupted."""
+    return bool(_UNSEARCHED.get())
+
+
+def alternate(cost: np.ndarray, supply: Supply, starts: int, rng: np.random.Generator) -> Build:
+    """Assign one slot after the other exactly, the others fixed, until none improves; the best of several starts."""
+    big = beyond(cost, supply.units)
+    priced = np.where(np.isfinite(cost), cost, big)
+    return alternated_by(priced.__getitem__, supply, starts, rng)
+
+
+def alternated_by(
+    price: Price, supply: Supply, starts: int, rng: np.random.Generator, begin: Build | None = None
+) -> Build:
+    """`alternate`, by a function of the combinations.
+
+    Args:
+        price: of combinations.
+        supply: stocks.
+        starts: random plans to begin with.
+        rng: of these.
+        begin: a plan that replaces the first of them.
+    """
+    best, least = None, np.inf
+    for number in range(starts):
+        places = random_plan(supply, rng) if begin is None or number else np.array(begin).T.copy()
+        left = _UNSEARCHED.get()
+        try:
+            total = _improved(price, supply, places)
+        except KeyboardInterrupt:  # `places` is a complete plan after every step
+            if left is None:
+                raise
+            left.append(starts - number)
+            total = price(tuple(places)).sum()
+        if total < least:
+            least, best = total, places.copy()
+        if left:
+            break
+        detail(f"plan {number + 1} of {starts}")
+    assert best is not None  # `starts` is at least 1 and every price is finite
+    return [tuple(map(int, unit)) for unit in best.T]
+
+
+def _improved(price: Price, supply: Supply, places: np.ndarray) -> float:
+    """Sum of prices after all slots but one are fixed, that one assigned exactly, in turn; changes `places`."""
+    total, waiting = price(tuple(places)).sum(), len(places)
+    for slot in itertools.cycle(range(len(places))):
+        left = supply.pieces[slot].copy()
+        for other in supply.slots(supply.group[slot]):
+            if other != slot:
+                np.subtract.at(left, places[other], 1)
+        pool = copies(left)
+        at = tuple(row[:, None] if k != slot else pool[None] for k, row in enumerate(places))
+        places[slot] = pool[linear_sum_assignment(price(at))[1]]
+        now = price(tuple(places)).sum()
+        waiting, total = (len(places) - 1, now) if now < total - 1e-15 * abs(total) else (waiting - 1, now)
+        if waiting <= 0:
+            break
+    return _exchanged(price, supply, places) if supply.shared else float(total)
+
+
+def random_plan(supply: Supply, rng: np.random.Generator) -> np.ndarray:
+    """Parts of each slot (slots, units), taken by chance.
+
+    Args:
+        supply: stocks.
+        rng: of the choice.
+    """
+    places = np.empty((len(supply.shape), supply.units), int)
     for group in set(supply.group):
-        own = supply.slots(group)
-        one = list(slots.values())[own[0]]
-        place = np.argsort(one.order)  # of each part as given
-        pool = np.repeat(place, one.kind.pieces)
-        for number, slot in enumerate(own):
-            rows[slot] = pool[number : supply.units * len(own) : len(own)]
-    return [tuple(map(int, unit)) for unit in zip(*rows)]
+        slots = supply.slots(group)
+        pool = rng.permutation(copies(supply.pieces[slots[0]]))
+        for number, slot in enumerate(slots):
+            places[slot] = pool[number * supply.units : (number + 1) * supply.units]
+    return places
 
 
-def in_order(build: Build, slots: Mapping[str, Known]) -> Build:
-    """Units in the order in which the parts of the first slot lie there, then those of the second."""
-    orders = [one.order for one in slots.values()]
-    return sorted(build, key=lambda unit: tuple(int(order[place]) for order, place in zip(orders, unit)))
+def _exchanged(price: Price, supply: Supply, places: np.ndarray) -> float:
+    """Sum after exchanges of parts of one stock between slots of any two units; changes `places`."""
+    units = supply.units
+    improved = True
+    while improved:
+        improved = False
+        for group in set(supply.group):
+            for first, second in itertools.combinations(supply.slots(group), 2):
+                for i in range(units):  # the part in `first` of unit i against that in `second` of each unit
+                    mine, theirs = places.copy(), places[:, [i]].repeat(units, axis=1)
+                    mine[second] = places[first, i]
+                    theirs[first] = places[second]
+                    theirs[second, i] = places[first, i]
+                    now, changed, other = (price(tuple(x)) for x in (places, mine, theirs))
+                    gain = now + now[i] - changed - other
+                    gain[i] = now[i] - other[i]
+                    j = int(gain.argmax())
+                    if gain[j] > 1e-12 * abs(now).max():
+                        places[[first, second], [i, j]] = places[[second, first], [j, i]]
+                        improved = True
+    return float(price(tuple(places)).sum())
 
 
-def left_over(slots: Mapping[str, Known], supply: Supply, place: np.ndarray) -> dict[str, tuple[Hashable, ...]]:
-    """Ids of unused pieces in the order given, each as often as there are pieces."""
-    ids = {}
-    for number, (slot, one) in enumerate(slots.items()):
-        left = one.pieces.copy()
-        for other in supply.slots(supply.group[number]):
-            np.subtract.at(left, place[:, other], 1)
-        in_order = np.argsort(one.order)
-        ids[slot] = tuple(one.id_of(k) for k in in_order for _ in range(left[k]))
-    return ids
+def lagrangian(cost: np.ndarray, supply: Supply, upper: float) -> float:
+    """Lower bound of the sum of any plan: all stocks but those of two slots are priced, these two are assigned exactly.
+
+    Held, 1981: subgradient steps of Polyak's length towards the sum of the plan found.
+    """
+    pairs = list(itertools.combinations(range(len(supply.shape)), 2))
+    started = sorted(pairs, key=lambda pair: -next(_bounds(cost, supply, pair, upper)))
+    return max(max(itertools.islice(_bounds(cost, supply, pair, upper), ROUNDS)) for pair in started[:3])
+
+
+def _bounds(cost: np.ndarray, supply: Supply, pair: tuple[int, int], upper: float) -> Iterator[float]:
+    """Bounds from one pair of slots, round by round."""
+    kept = {supply.group[slot] for slot in pair if len(supply.slots(supply.group[slot])) == 1}
+    priced = [group for group in sorted(set(supply.group)) if group not in kept]
+    prices = {group: np.zeros(len(supply.pieces[supply.slots(group)[0]])) for group in priced}
+    others = tuple(slot for slot in range(len(supply.shape)) if slot not in pair)
+    allowed, best, pace = supply.allowed(), -np.inf, 1.0
+    reduced_cost = np.where(allowed, cost, np.inf)
+    while True:
+        total = reduced_cost.copy()
+        for group in priced:
+            for slot in supply.slots(group):
+                total += prices[group].reshape([-1 if k == slot else 1 for k in range(total.ndim)])
+        flat = np.moveaxis(total, (*pair, *others), range(total.ndim)).reshape(*(total.shape[k] for k in pair), -1)
+        least = flat.min(axis=2)
+        big = beyond(least, supply.units)
+        two = Supply((supply.pieces[pair[0]], supply.pieces[pair[1]]), (0, 1), supply.units)
+        chosen = np.array(assigned(np.where(np.isfinite(least), least, big), two))
+        bound = least[chosen[:, 0], chosen[:, 1]].sum()
+        used = {group: np.zeros(len(price)) for group, price in prices.items()}
+        rest = (
+            np.stack(
+                np.unravel_index(flat.argmin(axis=2)[chosen[:, 0], chosen[:, 1]], [total.shape[k] for k in others])
+            )
+            if others
+            else np.empty((0, len(chosen)), int)
+        )
+        for group in priced:
+            for slot in supply.slots(group):
+                places = chosen[:, pair.index(slot)] if slot in pair else rest[others.index(slot)]
+                np.add.at(used[group], places, 1)
+        over = {}
+        for group, price in prices.items():
+            pieces = supply.pieces[supply.slots(group)[0]]
+            bound -= price @ pieces
+            over[group] = used[group] - pieces
+            if pieces.sum() > supply.units * len(supply.slots(group)):  # some may be left over: no price below 0
+                over[group] = np.where((price <= 0) & (over[group] < 0), 0.0, over[group])
+        pace *= 0.97
+        if np.isfinite(bound):
+            best = max(best, bound)
+        yield best
+        norm = sum(float(one @ one) for one in over.values())
+        if norm == 0 or not np.isfinite(bound):
+            while True:
+                yield best
+        step = pace * max(upper - bound, 1e-12 * abs(upper)) / norm
+        for group, price in prices.items():
+            pieces = supply.pieces[supply.slots(group)[0]]
+            moved = price + step * over[group]
+            free = pieces.sum() == supply.units * len(supply.slots(group))
+            prices[group] = moved if free else np.maximum(moved, 0.0)
