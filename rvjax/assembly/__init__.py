@@ -10,15 +10,4 @@ from rvjax.assembly.parts import Kind, Outlier, Part, UnusualPart, outliers
 from rvjax.assembly.plan import OBJECTIVES as OBJECTIVES, Plan, plan
 from rvjax.assembly.supply import supply_of as supply_of
 
-__all__ = [
-    "Kind",
-    "Opening",
-    "Outlier",
-    "Part",
-    "Plan",
-    "UnusualPart",
-    "believed",
-    "opening",
-    "outliers",
-    "plan",
-]
+__all__ = ["Kind", "Opening", "Outlier", "Part", "Plan", "UnusualPart", "believed", "opening", "outliers", "plan"]

@@ -8,7 +8,7 @@ from typing import SupportsIndex
 import jax
 import numpy as np
 
-from rvjax.base.columns import element
+from rvjax.base.fields import element
 from rvjax.records import PyTree, Record
 from rvjax.tolerances import Tolerance
 

@@ -329,38 +329,6 @@ def loosely(header: str, units: Units, words: Iterable[str] = ()) -> tuple[str, 
     return None
 
 
-def element(field: str, place: Sequence[int]) -> str:
-    """Return the name of an element of an error, such as "disc_bore[0,1]"; the field itself without a place.
-
-    Args:
-        field: name.
-        place: index along each axis.
-    """
-    return f"{field}[{','.join(map(str, place))}]" if len(place) else field
-
-
-def elements(field: str, shape: tuple[int, ...]) -> list[str]:
-    """Names of all elements of an error in C order.
-
-    Args:
-        field: name.
-        shape: of the error.
-    """
-    return [element(field, place) for place in np.ndindex(shape)]
-
-
-def place_of(name: str) -> tuple[str, tuple[int, ...]]:
-    """Field and place of the name of an element; "disc_bore[0][1]" is read as "disc_bore[0,1]".
-
-    Raises:
-        ValueError: the name is no such name.
-    """
-    match = re.fullmatch(r"([\w.]+)((?:\[\d+(?:, ?\d+)*\])*)", name)
-    if match is None:
-        raise ValueError(f"{name!r}: must be the name of an error or of an element, such as disc_bore[0,1]")
-    return match[1], tuple(map(int, re.findall(r"\d+", match[2])))
-
-
 def split(header: str) -> tuple[str, str | None]:
     """Name and unit of the plain form "name [unit]"; the name may contain brackets."""
     match = re.fullmatch(r"(.*?)\s*\[\s*([^\[\]]*?)\s*\]", header)

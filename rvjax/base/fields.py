@@ -1,7 +1,8 @@
 """Fields of records: checks of their numbers, their named axes with the sizes of a design, their values in one line."""
 
 import dataclasses
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -225,3 +226,35 @@ def check_axes(item: "DataclassInstance") -> None:
                 raise ValueError(
                     f"{owner}.{f.name}: shape {shape} has {size} {axis}, {sizes[axis][1]} has {sizes[axis][0]}"
                 )
+
+
+def element(field: str, place: Sequence[int]) -> str:
+    """Return the name of an element of an error, such as "disc_bore[0,1]"; the field itself without a place.
+
+    Args:
+        field: name.
+        place: index along each axis.
+    """
+    return f"{field}[{','.join(map(str, place))}]" if len(place) else field
+
+
+def elements(field: str, shape: tuple[int, ...]) -> list[str]:
+    """Names of all elements of an error in C order.
+
+    Args:
+        field: name.
+        shape: of the error.
+    """
+    return [element(field, place) for place in np.ndindex(shape)]
+
+
+def place_of(name: str) -> tuple[str, tuple[int, ...]]:
+    """Field and place of the name of an element; "disc_bore[0][1]" is read as "disc_bore[0,1]".
+
+    Raises:
+        ValueError: the name is no such name.
+    """
+    match = re.fullmatch(r"([\w.]+)((?:\[\d+(?:, ?\d+)*\])*)", name)
+    if match is None:
+        raise ValueError(f"{name!r}: must be the name of an error or of an element, such as disc_bore[0,1]")
+    return match[1], tuple(map(int, re.findall(r"\d+", match[2])))

@@ -8,18 +8,5 @@ from rvjax.compensation.correction import Correction, Left, Residual, correction
 from rvjax.compensation.files import FORMS as FORMS, export, exported as exported, read
 from rvjax.compensation.table import Schedule, Table, schedule, table
 
-__all__ = [
-    "Correction",
-    "Left",
-    "Residual",
-    "Schedule",
-    "Table",
-    "correction",
-    "export",
-    "phase_residual",
-    "predicted",
-    "read",
-    "residual",
-    "schedule",
-    "table",
-]
+__all__ = ["Correction", "Left", "Residual", "Schedule", "Table", "correction", "export", "phase_residual"]
+__all__ += ["predicted", "read", "residual", "schedule", "table"]

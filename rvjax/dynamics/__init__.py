@@ -19,36 +19,8 @@ from rvjax.dynamics.response import Response, constant_forcing, log_sensitivitie
 from rvjax.dynamics.static import Static, static
 from rvjax.dynamics.symmetry import Block, Blocks, blocks
 
-__all__ = [
-    "Block",
-    "Blocks",
-    "DynamicError",
-    "ErrorExcitation",
-    "ErrorStatistics",
-    "Floquet",
-    "Lumped",
-    "Modes",
-    "Periodic",
-    "Response",
-    "SpeedRange",
-    "SpeedSweep",
-    "Static",
-    "System",
-    "assemble",
-    "blocks",
-    "constant_forcing",
-    "error_excitation",
-    "error_statistics",
-    "error_transfer",
-    "floquet",
-    "log_sensitivities",
-    "lump",
-    "modes",
-    "periodic",
-    "response",
-    "speed_range",
-    "speed_sweep",
-    "static",
-    "transmission_error",
-    "with_deviations",
-]
+__all__ = ["Block", "Blocks", "DynamicError", "ErrorExcitation", "ErrorStatistics", "Floquet", "Lumped", "Modes"]
+__all__ += ["Periodic", "Response", "SpeedRange", "SpeedSweep", "Static", "System", "assemble", "blocks"]
+__all__ += ["constant_forcing", "error_excitation", "error_statistics", "error_transfer", "floquet"]
+__all__ += ["log_sensitivities", "lump", "modes", "periodic", "response", "speed_range", "speed_sweep", "static"]
+__all__ += ["transmission_error", "with_deviations"]

@@ -13,14 +13,5 @@ from rvjax.four_bar.extremes import Figures
 from rvjax.four_bar.linkage import Closure, LinkDeviations, solve_closure
 from rvjax.four_bar.reducer import Revolution, TransmissionError, figures, revolution, transmission_error
 
-__all__ = [
-    "Closure",
-    "Figures",
-    "LinkDeviations",
-    "Revolution",
-    "TransmissionError",
-    "figures",
-    "revolution",
-    "solve_closure",
-    "transmission_error",
-]
+__all__ = ["Closure", "Figures", "LinkDeviations", "Revolution", "TransmissionError", "figures", "revolution"]
+__all__ += ["solve_closure", "transmission_error"]

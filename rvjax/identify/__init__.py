@@ -16,22 +16,5 @@ from rvjax.identify.sampler import Draws, sample
 from rvjax.identify.search import FAINT as FAINT
 from rvjax.identify.unit import predict, solve
 
-__all__ = [
-    "Batch",
-    "Direction",
-    "Draws",
-    "Identifiability",
-    "Mode",
-    "Noise",
-    "Orders",
-    "Posterior",
-    "Process",
-    "Ranking",
-    "identifiability",
-    "orders",
-    "predict",
-    "rank_measurements",
-    "sample",
-    "solve",
-    "solve_many",
-]
+__all__ = ["Batch", "Direction", "Draws", "Identifiability", "Mode", "Noise", "Orders", "Posterior", "Process"]
+__all__ += ["Ranking", "identifiability", "orders", "predict", "rank_measurements", "sample", "solve", "solve_many"]

@@ -16,7 +16,7 @@ import numpy as np
 
 from rvjax._jax.kernels import fori_loop, in_blocks
 from rvjax._jax.sizes import PRIORS
-from rvjax.base.columns import elements
+from rvjax.base.fields import elements
 from rvjax.population import Correlation, Population
 from rvjax.records import PyTree
 

@@ -13,17 +13,5 @@ from rvjax.levels.table import (
     stored,
 )
 
-__all__ = [
-    "Table",
-    "Choice",
-    "advice",
-    "as_given",
-    "choose",
-    "measure",
-    "measure_model",
-    "measured",
-    "report",
-    "seconds",
-    "sources_of",
-    "stored",
-]
+__all__ = ["Table", "Choice", "advice", "as_given", "choose", "measure", "measure_model", "measured", "report"]
+__all__ += ["seconds", "sources_of", "stored"]

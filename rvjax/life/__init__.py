@@ -22,14 +22,5 @@ from rvjax.life.rating import (
     rating,
 )
 
-__all__ = [
-    "BearingLife",
-    "Duty",
-    "RatedTorque",
-    "Rating",
-    "bearing_life",
-    "dynamic_rating",
-    "rated_torque",
-    "rating",
-    "static_rating",
-]
+__all__ = ["BearingLife", "Duty", "RatedTorque", "Rating", "bearing_life", "dynamic_rating", "rated_torque", "rating"]
+__all__ += ["static_rating"]

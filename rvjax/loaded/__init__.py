@@ -38,16 +38,5 @@ from rvjax.loaded.revolution import (
 from rvjax.loaded.system import Layout as Layout
 from rvjax.loaded.torsion import Torsion, torsion
 
-__all__ = [
-    "Clearance",
-    "Loaded",
-    "Reading",
-    "Revolution",
-    "Torsion",
-    "clearance",
-    "equilibrium",
-    "housing_orders",
-    "reading",
-    "revolution",
-    "torsion",
-]
+__all__ = ["Clearance", "Loaded", "Reading", "Revolution", "Torsion", "clearance", "equilibrium", "housing_orders"]
+__all__ += ["reading", "revolution", "torsion"]

@@ -18,17 +18,5 @@ from rvjax.mesh_force.cycle import (
 from rvjax.mesh_force.equilibrium import MeshForces, solve
 from rvjax.mesh_force.geometry import ToothProfile, largest_roller_radius, tooth_profile, undercut_margin
 
-__all__ = [
-    "ContactPressure",
-    "CycleStatistics",
-    "MeshForces",
-    "ToothProfile",
-    "contact_pressure",
-    "cycle_angles",
-    "cycle_statistics",
-    "largest_roller_radius",
-    "solve",
-    "sweep",
-    "tooth_profile",
-    "undercut_margin",
-]
+__all__ = ["ContactPressure", "CycleStatistics", "MeshForces", "ToothProfile", "contact_pressure", "cycle_angles"]
+__all__ += ["cycle_statistics", "largest_roller_radius", "solve", "sweep", "tooth_profile", "undercut_margin"]

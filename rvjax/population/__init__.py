@@ -46,14 +46,5 @@ from rvjax.population.tolerance import (
     Tolerance,
 )
 
-__all__ = [
-    "Correlation",
-    "Estimate",
-    "MeasuredColumn",
-    "MeasuredParts",
-    "Tolerance",
-    "for_design",
-    "it_width",
-    "measured",
-    "sample",
-]
+__all__ = ["Correlation", "Estimate", "MeasuredColumn", "MeasuredParts", "Tolerance", "for_design", "it_width"]
+__all__ += ["measured", "sample"]

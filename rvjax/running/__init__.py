@@ -11,15 +11,5 @@ from rvjax.running.losses import Losses, losses
 from rvjax.running.outputs import Turned as Turned, sign_of as sign_of, turned as turned
 from rvjax.running.simulator_files import FORMATS as FORMATS, Header as Header, units as units
 
-__all__ = [
-    "BackDriving",
-    "DragFit",
-    "Hysteresis",
-    "Joint",
-    "Losses",
-    "back_driving",
-    "fit_drag",
-    "hysteresis",
-    "joint",
-    "losses",
-]
+__all__ = ["BackDriving", "DragFit", "Hysteresis", "Joint", "Losses", "back_driving", "fit_drag", "hysteresis"]
+__all__ += ["joint", "losses"]

@@ -47,39 +47,8 @@ from rvjax.study.values import (
     subtable,
 )
 
-__all__ = [
-    "BASES",
-    "Conditions",
-    "EMBEDDED",
-    "KNOWN_DESIGNS",
-    "Loop",
-    "Measured",
-    "NUISANCES",
-    "Problem",
-    "RATED",
-    "Run",
-    "Study",
-    "StudyError",
-    "TORQUE",
-    "Candidate",
-    "choice",
-    "embedded_names",
-    "field_unit",
-    "identification_of",
-    "integer",
-    "inverse_problem",
-    "facts_of",
-    "known",
-    "load",
-    "naming",
-    "numbers",
-    "order_name",
-    "parse_study",
-    "quantity",
-    "scaled",
-    "read_measured",
-    "shown",
-    "study_template",
-    "subtable",
-    "candidates",
-]
+__all__ = ["BASES", "Conditions", "EMBEDDED", "KNOWN_DESIGNS", "Loop", "Measured", "NUISANCES", "Problem", "RATED"]
+__all__ += ["Run", "Study", "StudyError", "TORQUE", "Candidate", "choice", "embedded_names", "field_unit"]
+__all__ += ["identification_of", "integer", "inverse_problem", "facts_of", "known", "load", "naming", "numbers"]
+__all__ += ["order_name", "parse_study", "quantity", "scaled", "read_measured", "shown", "study_template", "subtable"]
+__all__ += ["candidates"]

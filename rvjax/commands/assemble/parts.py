@@ -14,7 +14,7 @@ from rvjax.assembly import Kind, Machine, Part, Plan, UnitResponse, draw, known 
 from rvjax.base import columns
 from rvjax.base.cells import MARKS, read_cells
 from rvjax.base.encoding import guessed
-from rvjax.base.fields import axis_sizes, value_text
+from rvjax.base.fields import axis_sizes, element as element_name, place_of, value_text
 from rvjax.base.numbers import number_of
 from rvjax.commands.assemble.section import table_of
 from rvjax.mounting import AXES, carried, disc_mountings, drawing
@@ -241,7 +241,7 @@ def _kind(
             continue
         field, element, unit = _column(study, path, column, kind, shapes)
         if element in measured.setdefault(field, {}):
-            raise StudyError(f"{path}: column {column!r}: {columns.element(field, element)} is in two columns")
+            raise StudyError(f"{path}: column {column!r}: {element_name(field, element)} is in two columns")
         measured[field][element] = column
         units[column] = unit
     if not measured:
@@ -258,7 +258,7 @@ def _kind(
             value, sd = np.zeros(shapes[field]), np.full(shapes[field], np.inf)
             for element, column in elements.items():
                 if text := row.cells[column]:
-                    name, size = columns.element(field, element), KNOWN[study.unit(field)][units[column]]
+                    name, size = element_name(field, element), KNOWN[study.unit(field)][units[column]]
                     unit, at = units[column], row.number
                     found = number_of(str(path), name, unit, at, text, row.comma, missing=False)
                     value[element] = found * size
@@ -296,7 +296,7 @@ def _column(
     """Field, place and unit of a column."""
     head, unit = columns.name_and_unit(column)
     try:
-        field, place = columns.place_of(head)
+        field, place = place_of(head)
     except ValueError:
         unit = None
     if unit is None:

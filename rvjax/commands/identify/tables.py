@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rvjax.base.columns import place_of
+from rvjax.base.fields import place_of
 from rvjax.commands.identify.figures import RUNS
 from rvjax.commands.identify.head import head_of
 from rvjax.commands.identify.identified import Identified

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rvjax import identify
-from rvjax.base.columns import element, place_of
+from rvjax.base.fields import element, place_of
 from rvjax.commands.identify.head import CONSISTENT, Head
 from rvjax.commands.identify.identified import Identified
 from rvjax.records import PyTree

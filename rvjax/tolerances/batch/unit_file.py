@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TextIO
 import numpy as np
 
 from rvjax.base import frames
-from rvjax.base.columns import elements
+from rvjax.base.fields import elements
 from rvjax.base.files import check_writable, replacing
 from rvjax.population import Population
 from rvjax.records import PyTree
