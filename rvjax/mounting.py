@@ -20,7 +20,7 @@ import numpy as np
 from rvjax.base.fields import axis_sizes
 from rvjax.base.words import unknown
 from rvjax.errors import described
-from rvjax.records import Array, PyTree, Scalar
+from rvjax.records import Array, Design, PyTree, Scalar
 
 AXES = {"disc": "discs", "crank": "cranks"}
 """Parts that a reducer has several of, and their axis in the arrays of errors."""
@@ -33,7 +33,7 @@ class Mounting(NamedTuple):
     over: bool  # turned over about the x axis first
 
 
-def carried(design: PyTree, part: str) -> dict[str, tuple[int, ...]]:
+def carried(design: Design, part: str) -> dict[str, tuple[int, ...]]:
     """Errors that one part carries from slot to slot, with their shapes: those of a disc as it lies in the slot it is
     made for, without the axis of discs; those of a crankshaft with its planet without the axis of cranks.
 

@@ -97,7 +97,7 @@ class Reading:
         """The output without the results that it shares."""
         return self.within({}, design, errors, given)
 
-    def within(self, found: dict[Source, PyTree], design: Design, errors: object, given: object) -> Solved:
+    def within(self, found: dict[Source, object], design: Design, errors: object, given: object) -> Solved:
         """The output among others of the same question.
 
         Args:

@@ -69,7 +69,7 @@ def field(
     kind: str = "real",
     of: str = "",
     part: str = "",
-    **more: Any,
+    **more: object,
 ) -> Any:
     """Declare a traced field of a record.
 
@@ -191,7 +191,7 @@ def record(cls: Class) -> Class:
         children, aux = flatten(item)
         return tuple((jax.tree_util.GetAttrKey(n), c) for n, c in zip(traced, children)), aux
 
-    def unflatten(aux: tuple[object, ...], children: Iterable[PyTree]) -> Record:
+    def unflatten(aux: tuple[object, ...], children: Iterable[object]) -> Record:
         item = object.__new__(made)  # no checks: jax.tree rebuilds records from tracers and stacks
         for name, value in (*zip(traced, children), *zip(static, aux)):
             object.__setattr__(item, name, value)
@@ -231,7 +231,7 @@ def signs_hold(item: Record) -> jax.Array:
     return sound
 
 
-def promote(*trees: PyTree) -> PyTree:
+def promote(*trees: object) -> PyTree:
     """Bring every number in `trees` to their common floating dtype.
 
     Python floats are weak: they take the dtype of the other arrays, or the default
@@ -243,7 +243,7 @@ def promote(*trees: PyTree) -> PyTree:
     return cast[0] if len(trees) == 1 else cast
 
 
-def broadcast_fields(cls: type[Record], counts: Mapping[str, int], values: Mapping[str, PyTree]) -> dict[str, PyTree]:
+def broadcast_fields(cls: type[Record], counts: Mapping[str, int], values: Mapping[str, object]) -> dict[str, PyTree]:
     """Fill every traced field of a record to its full shape: scalars are broadcast, absent fields take the default.
 
     Args:
@@ -312,12 +312,12 @@ def _numeric(item: Record) -> list[Field]:
     return [f for f in dataclasses.fields(item) if f.metadata["kind"] not in ("count", "text")]
 
 
-def _without_numbers(item: Record, values: Mapping[str, PyTree]) -> bool:
+def _without_numbers(item: Record, values: Mapping[str, object]) -> bool:
     fields = _numeric(item)
     return bool(fields) and all(_nonumber(values[f.name]) for f in fields)
 
 
-def _nonumber(value: PyTree) -> bool:
+def _nonumber(value: object) -> bool:
     if value is None or type(value) is float or isinstance(value, jax.Array):
         return value is None
     return not any(isinstance(leaf, float) or hasattr(leaf, "dtype") for leaf in jax.tree.leaves(value))

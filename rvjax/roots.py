@@ -140,7 +140,7 @@ def _implicit(
 
 @_implicit.defjvp
 def _implicit_jvp(
-    residual: Residual, iterate: Callable[..., PyTree], primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]
+    residual: Residual, iterate: Callable[..., object], primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]
 ) -> PyTree:
     (params, guess), (dparams, _) = primals, tangents
     value, info = _implicit(residual, iterate, params, guess)

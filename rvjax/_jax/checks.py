@@ -96,7 +96,7 @@ def _misplaced(
     return f"{' and '.join(names)} {'are' if names[1:] else 'is'} keyword-only; write {written} for {_short(value)}"
 
 
-def _fits(value: object, annotation: Any) -> bool:
+def _fits(value: object, annotation: object) -> bool:
     """True if a value has the type that an argument declares; False where it declares none."""
     members, optional = _members(annotation)
     if value is None or members == {int}:

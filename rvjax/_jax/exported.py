@@ -35,7 +35,7 @@ def exported(
     folder: Path,
     function: Callable[..., R],
     static: Mapping[str, object],
-    arguments: tuple[PyTree, ...],
+    arguments: tuple[object, ...],
     options: dict[str, bool | int] | None = None,
 ) -> Callable[[list[Scalar]], R] | None:
     """The traced program of a function, of the leaves of its arguments.
@@ -96,7 +96,7 @@ def _types(leaves: list[Scalar]) -> list[jax.core.ShapedArray]:
 
 
 def _of_leaves(
-    program: jax.export.Exported, shape: PyTree, options: dict[str, bool | int] | None
+    program: jax.export.Exported, shape: object, options: dict[str, bool | int] | None
 ) -> Callable[[list[Scalar]], Any]:
     """The program as a function of the leaves of its arguments; it has no weak types."""
     call = jax.jit(program.call, compiler_options=options)

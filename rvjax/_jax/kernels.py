@@ -42,7 +42,7 @@ class BatchedKernel:
     as long for a batch of `loaded`. It has no derivatives.
     """
 
-    def __init__(self, function: Callable[..., PyTree], shapes: Callable[..., PyTree]) -> None:
+    def __init__(self, function: Callable[..., object], shapes: Callable[..., object]) -> None:
         """A function of arrays.
 
         Args:
@@ -59,11 +59,11 @@ class BatchedKernel:
         found = _batched_kernel.bind(*leaves, kernel=self, tree=tree)
         return jax.tree.unflatten(jax.tree.structure(self._shapes(*arguments)), found)
 
-    def flat(self, *leaves: Any, tree: Any) -> list[jax.Array]:
+    def flat(self, *leaves: object, tree: object) -> list[jax.Array]:
         """Leaves of the results."""
         return jax.tree.leaves(self._function(*jax.tree.unflatten(tree, leaves)))
 
-    def types(self, *leaves: Any, tree: Any) -> list[Any]:
+    def types(self, *leaves: Any, tree: object) -> list[Any]:
         """Types of these."""
         found = jax.tree.leaves(self._shapes(*jax.tree.unflatten(tree, leaves)))
         return [leaves[0].update(shape=leaf.shape, dtype=leaf.dtype, weak_type=False) for leaf in found]
@@ -77,7 +77,7 @@ def _computed(*leaves: Any, kernel: BatchedKernel, tree: Any) -> list[jax.Array]
 def _lowered(platform: str) -> Callable[..., Any]:
     """The rule that lowers the function for a platform."""
 
-    def computed(*leaves: Any, kernel: BatchedKernel, tree: Any) -> list[jax.Array]:
+    def computed(*leaves: object, kernel: BatchedKernel, tree: object) -> list[jax.Array]:
         with sizes.lowering(platform):
             return kernel.flat(*leaves, tree=tree)
 
@@ -90,7 +90,7 @@ def _lowered(platform: str) -> Callable[..., Any]:
     return rule
 
 
-def _batched(leaves: Any, axes: Any, *, kernel: BatchedKernel, tree: Any) -> tuple[list[jax.Array], list[int]]:
+def _batched(leaves: Any, axes: Any, *, kernel: BatchedKernel, tree: object) -> tuple[list[jax.Array], list[int]]:
     own = [axis is not None for axis in axes]
     size = next(leaf.shape[axis] for leaf, axis, is_own in zip(leaves, axes, own) if is_own)
     moved = [jnp.moveaxis(leaf, axis, 0) if is_own else leaf for leaf, axis, is_own in zip(leaves, axes, own)]
@@ -158,7 +158,7 @@ def once_more(
         todo: () bool.
     """
 
-    def repair(arguments: PyTree, found: jax.Array, todo: jax.Array) -> jax.Array:
+    def repair(arguments: object, found: jax.Array, todo: jax.Array) -> jax.Array:
         lanes = max(len(leaf) for leaf in jax.tree.leaves((arguments, found, todo)))
         found, todo = (jnp.broadcast_to(x, (lanes,)) for x in (found, todo))
         window = min(sizes.REPAIRED, lanes)
@@ -217,7 +217,7 @@ def folded(x: jax.Array, *axes: int, by: Callable[..., jax.Array] = jnp.add) -> 
     return x
 
 
-def stored(compute: Callable[..., Result], *arguments: PyTree) -> Result:
+def stored(compute: Callable[..., Result], *arguments: object) -> Result:
     """Return compute(*arguments), written to memory: by a branch that is always taken, which XLA cannot see.
 
     Without it, and with `optimization_barrier` too, XLA computes what several results share again for each of them: a
@@ -239,7 +239,7 @@ def stored(compute: Callable[..., Result], *arguments: PyTree) -> Result:
     )
 
 
-def in_blocks(function: Callable[..., PyTree], size: int, *arrays: np.ndarray) -> PyTree:
+def in_blocks(function: Callable[..., object], size: int, *arrays: np.ndarray) -> PyTree:
     """Evaluate rows block by block on the host: one program for any number of rows, bounded memory.
 
     Args:
@@ -265,18 +265,18 @@ def unvarying(number: Any) -> Any:
     return jax.core.ShapedArray(number.shape, number.dtype, number.weak_type) if _axes(number) else number
 
 
-def axes_of(*trees: PyTree) -> Axes:
+def axes_of(*trees: object) -> Axes:
     """Mesh axes over which any number of the trees varies."""
     return Axes().union(*(_axes(jax.typeof(leaf)) for leaf in jax.tree.leaves(trees)))
 
 
-def like(tree: State, *others: PyTree) -> State:
+def like(tree: State, *others: object) -> State:
     """Return a tree whose numbers vary over all axes over which one of them, or of the others, does."""
     axes = axes_of(tree, others)
     return jax.tree.map(lambda leaf: _cast(leaf, axes), tree) if axes else tree
 
 
-def while_loop(running: Callable[[State], Any], body: Callable[[State], State], start: State) -> State:
+def while_loop(running: Callable[[State], object], body: Callable[[State], State], start: State) -> State:
     """`jax.lax.while_loop`."""
     return jax.lax.while_loop(running, body, _settled(body, start))
 
@@ -307,7 +307,7 @@ def _settled(step: Callable[[State], State], start: State) -> State:
         start = settled
 
 
-def _cast(leaf: Any, axes: Axes) -> Any:
+def _cast(leaf: object, axes: Axes) -> Any:
     missing = tuple(axes - axes_of(leaf))
     return jax.lax.pcast(leaf, missing, to="varying") if missing else leaf
 

@@ -14,8 +14,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.records import PyTree
-
 Rows = TypeVar("Rows", np.ndarray, jax.Array)
 
 CPU = "cpu"
@@ -52,7 +50,7 @@ def default_platform() -> str:
     return device if isinstance(device, str) else device.platform
 
 
-def platform_of(arguments: PyTree) -> str:
+def platform_of(arguments: object) -> str:
     """Platform of a program of these arguments: of the first array that was put on a device, else the default."""
     for leaf in jax.tree.leaves(arguments):
         if isinstance(leaf, jax.Array) and not isinstance(leaf, jax.core.Tracer) and leaf.committed:

@@ -38,7 +38,7 @@ class Marked(NamedTuple):
         """Results, and what is marked, in the order of the program."""
         state: list[jax.Array] = []
 
-        def kept(_: Any, value: jax.Array) -> jax.Array:
+        def kept(_: object, value: jax.Array) -> jax.Array:
             state.append(value)
             return value
 
@@ -83,7 +83,7 @@ def _evaluated(
     jaxpr, known = closed.jaxpr, dict[Any, Any]()
     known |= dict(zip([*jaxpr.constvars, *jaxpr.invars], [*closed.consts, *arguments]))
 
-    def read(variable: Any) -> Any:
+    def read(variable: object) -> Any:
         return variable.val if isinstance(variable, Literal) else known.get(variable)
 
     wanted = _wanted(jaxpr) if given else None

@@ -142,7 +142,7 @@ def loaded(lumped: Lumped, load_inertia: Scalar) -> Lumped:
     return lumped.replace(inertia=inertia.replace(output_inertia=inertia.output_inertia + load_inertia))
 
 
-def admitted(lumped: Lumped, *conditions: PyTree) -> tuple[Lumped, tuple[PyTree, ...], Gate]:
+def admitted(lumped: Lumped, *conditions: object) -> tuple[Lumped, tuple[PyTree, ...], Gate]:
     """Promote to one dtype, replace a case outside the model's domain by a harmless one, and return its gate.
 
     Design and conditions are checked separately, so that a sweep of conditions leaves the design, and with it the
@@ -290,7 +290,7 @@ def spring_table(cranks: int, discs: int) -> SpringTable:
     size = output + 3
     rows: list[tuple[str, int, list[tuple[int, int, Any]]]] = []
 
-    def spring(kind: str, member: int, *terms: tuple[int, int, PyTree]) -> None:
+    def spring(kind: str, member: int, *terms: tuple[int, int, object]) -> None:
         rows.append((kind, member, list(terms)))  # terms: (coordinate, geometry number, factor)
 
     for x, name in ((sun, "sun"), (output, "output")):

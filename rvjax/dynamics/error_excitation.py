@@ -136,7 +136,7 @@ def symmetric(design: RVReducer | Lumped) -> Lumped:
     return lumped
 
 
-def read(case: Case, *conditions: PyTree) -> tuple[Unit, tuple[PyTree, ...]]:
+def read(case: Case, *conditions: object) -> tuple[Unit, tuple[PyTree, ...]]:
     """Promote everything to one dtype and check it; design, errors and conditions separately, so that a batch of errors
     leaves the design unbatched.
 

@@ -116,7 +116,7 @@ def rotations(outputs: Sequence[str], sun: jax.Array, output: jax.Array, ratio: 
     return jnp.stack([named[name] for name in outputs])
 
 
-def close(unit: Unit, values: PyTree, lines: jax.Array, solution: "Transfer | Balanced") -> tuple[PyTree, SolveInfo]:
+def close(unit: Unit, values: object, lines: jax.Array, solution: "Transfer | Balanced") -> tuple[PyTree, SolveInfo]:
     """Values of a unit with their status.
 
     Args:

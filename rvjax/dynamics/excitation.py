@@ -179,7 +179,7 @@ def resonance_distance(modal: ModalSector, frequency: jax.Array) -> jax.Array:
     return jnp.min(jnp.where(moving, jnp.abs(ratio - 1), jnp.inf), axis=1)
 
 
-def constants(values: PyTree, like: jax.Array) -> jax.Array:
+def constants(values: object, like: jax.Array) -> jax.Array:
     """Return a constant array as complex numbers of the precision of `like`."""
     return jnp.asarray(values, np.result_type(like.dtype, np.complex64))
 

@@ -178,7 +178,7 @@ def _matrix_root_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
     pair = jnp.sqrt(square)[:, None] + jnp.sqrt(square)[None, :]
     pair = jnp.where(pair > 0, pair, 1).astype(matrix.dtype)
 
-    def divide(_: PyTree, b: jax.Array) -> jax.Array:
+    def divide(_: object, b: jax.Array) -> jax.Array:
         return b / pair
 
     # S S = A gives S dS + dS S = dA.

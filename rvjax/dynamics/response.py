@@ -23,7 +23,7 @@ from rvjax.dynamics.excitation import (
 from rvjax.dynamics.harmonic_balance import solve_cyclic, solve_first_order, solve_mesh
 from rvjax.dynamics.static import Torques, balancing_torque
 from rvjax.dynamics.symmetry import is_symmetric
-from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record, text
+from rvjax.records import Array, Design, PyTree, Record, Scalar, field, promote, record, text
 from rvjax.status import SolveInfo, Status, converged
 
 METHODS = ("first_order", "harmonic_balance")
@@ -234,7 +234,7 @@ def log_sensitivities(
 
 @partial(jax.jit, static_argnums=(3, 4, 5, 6))
 def _log_sensitivities(
-    design: PyTree,
+    design: Design,
     sun_speed: Array,
     output_torque: Array,
     stage: str,

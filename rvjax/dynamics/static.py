@@ -28,10 +28,10 @@ def solve(matrix: jax.Array, rhs: jax.Array) -> tuple[jax.Array, jax.Array]:
     """
     frozen = jax.lax.stop_gradient(matrix)
 
-    def forward(multiply: PyTree, b: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def forward(multiply: object, b: jax.Array) -> tuple[jax.Array, jax.Array]:
         return eliminate(frozen, b)
 
-    def transposed(multiply: PyTree, b: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def transposed(multiply: object, b: jax.Array) -> tuple[jax.Array, jax.Array]:
         return eliminate(frozen.T, b)
 
     return jax.lax.custom_linear_solve(lambda x: matrix @ x, rhs, forward, transposed, has_aux=True)

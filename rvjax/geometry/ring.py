@@ -79,7 +79,7 @@ def largest(function: Callable[[Array, PyTree], Array], grid: np.ndarray, given:
 
 @largest.defjvp
 def _largest_jvp(
-    function: Callable[[Array, PyTree], Array],
+    function: Callable[[Array, object], Array],
     grid: np.ndarray,
     primals: tuple[jax.Array, ...],
     tangents: tuple[jax.Array, ...],
@@ -102,7 +102,7 @@ def _place(function: Callable[[Array, PyTree], Array], grid: np.ndarray, given: 
 
 @_place.defjvp
 def _place_jvp(
-    function: Callable[[Array, PyTree], Array],
+    function: Callable[[Array, object], Array],
     grid: np.ndarray,
     primals: tuple[jax.Array, ...],
     tangents: tuple[jax.Array, ...],

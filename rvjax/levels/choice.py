@@ -310,7 +310,7 @@ def seconds(design: PyTree, results: Iterable[tuple[Source, Any]]) -> float | No
     return total / equilibrium_times()["measured_on"]["cores"]
 
 
-def contacts(design: PyTree) -> int:
+def contacts(design: Design) -> int:
     """Pins and output pins that touch the discs, counted for each disc.
 
     Args:

@@ -17,6 +17,7 @@ import numpy as np
 
 from rvjax import models
 from rvjax._jax.programs import Options, understood
+from rvjax.errors import Errors
 from rvjax.levels.choice import design_numbers, reach
 from rvjax.levels.table import Level, Model, Table
 from rvjax.outputs import Cases, Reading, Way
@@ -26,7 +27,7 @@ from rvjax.tolerances import Tolerance, for_design, sample
 
 
 def alternate(
-    candidates: Mapping[str, Callable[[], PyTree]],
+    candidates: Mapping[str, Callable[[], object]],
     *,
     seconds: float = 2.0,
     rounds: int = 25,
@@ -49,7 +50,7 @@ def alternate(
 
 
 def compiled(
-    function: Callable[..., PyTree], *arguments: object, options: Options = ()
+    function: Callable[..., object], *arguments: object, options: Options = ()
 ) -> tuple[jax.stages.Compiled, dict[str, float]]:
     """A function compiled for `arguments` with options of XLA, with compile seconds and temporary memory in MB."""
     start = time.perf_counter()
@@ -137,7 +138,7 @@ def evaluate(
     cases: Cases,
     settings: Mapping[str, object],
     design: Design,
-    errors: PyTree,
+    errors: Errors,
     extra: object,
     instead: Mapping[str, str] | None = None,
 ) -> tuple[dict[str, Array], Array]:
@@ -257,7 +258,7 @@ def _read(cases: Cases, programs: Sequence[Program], case: PyTree) -> dict[str, 
 
 
 def _compiled(
-    cases: Cases, way: Way, given: Sequence[PyTree], own_design: bool = True
+    cases: Cases, way: Way, given: Sequence[object], own_design: bool = True
 ) -> tuple[Program, dict[str, float]]:
     """A level for a batch whose cases have a design of their own or one for all, compiled as studies do."""
     outputs = [(way.instead or {}).get(name, name) for name in cases.outputs] if cases.evaluate is None else []

@@ -12,7 +12,7 @@ from jax.typing import DTypeLike
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import RVReducer
 from rvjax.loaded import Layout
-from rvjax.records import PyTree, Record, concrete, field, quantity, record
+from rvjax.records import Design, PyTree, Record, concrete, field, quantity, record
 
 
 class BearingKind(NamedTuple):
@@ -43,7 +43,7 @@ KINDS: dict[type, BearingKind] = {
 }
 
 
-def kind_of(design: PyTree) -> BearingKind:
+def kind_of(design: Design) -> BearingKind:
     """Entry of `KINDS` for a design.
 
     Args:

@@ -12,13 +12,13 @@ from rvjax._jax.programs import quick
 from rvjax.catalogue import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer, expect
-from rvjax.errors import RVErrors
+from rvjax.errors import Errors, RVErrors
 from rvjax.life.bearing import inverse
 from rvjax.life.damage import WEIBULL
 from rvjax.life.duty import KINDS, Duty, check_phases, kind_of, revolutions
 from rvjax.life.machine import Entered, Plan, check_plan, damages, entered
 from rvjax.loaded import BearingForces, Read, admit, bearing_forces, check_input
-from rvjax.records import PyTree, Record, Scalar, field, record
+from rvjax.records import Design, PyTree, Record, Scalar, field, record
 from rvjax.status import SolveInfo, Status, succeeded, worst, worst_of
 
 
@@ -96,7 +96,7 @@ def _rating(
     return by_forces(plan, given, read.errors, forces)
 
 
-def under(duty: Duty, phases: int, design: PyTree, read: Read, reliability: Scalar, tilt: Scalar) -> Entered:
+def under(duty: Duty, phases: int, design: Record, read: Read, reliability: Scalar, tilt: Scalar) -> Entered:
     """The numbers of a duty, checked.
 
     Args:
@@ -113,7 +113,7 @@ def under(duty: Duty, phases: int, design: PyTree, read: Read, reliability: Scal
     )
 
 
-def by_forces(plan: Plan, given: Entered, errors: PyTree, forces: BearingForces) -> Rating:
+def by_forces(plan: Plan, given: Entered, errors: Errors, forces: BearingForces) -> Rating:
     """Lives by the forces of a duty.
 
     Args:
@@ -201,7 +201,7 @@ class Orders(NamedTuple):
     info: SolveInfo
 
 
-def crank_order(design: PyTree) -> int:
+def crank_order(design: Design) -> int:
     """Order of the output revolution that turns with the crank: -zp, but zp of a drive whose ring is the output.
 
     Args:

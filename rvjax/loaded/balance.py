@@ -8,7 +8,7 @@ any other becomes groups.
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +25,7 @@ Kernel = Callable[..., PyTree]
 
 
 @functools.lru_cache(maxsize=64)
-def in_lanes(kernel: Kernel, layout: Layout, shapes: Callable[[Layout, Any], PyTree]) -> Kernel:
+def in_lanes(kernel: Kernel, layout: Layout, shapes: Callable[[Layout, object], object]) -> Kernel:
     """The function (system, *arrays) of one case that `kernel` computes for many.
 
     Args:
@@ -34,7 +34,7 @@ def in_lanes(kernel: Kernel, layout: Layout, shapes: Callable[[Layout, Any], PyT
         shapes: (layout, dtype) -> shapes and dtypes of the results of one case.
     """
 
-    def results(*arguments: PyTree) -> PyTree:
+    def results(*arguments: object) -> PyTree:
         leaves = jax.tree.leaves(arguments)
         batch = tuple(max(leaf.shape[axis] for leaf in leaves) for axis in (0, 1))
         one = shapes(layout, leaves[-1].dtype)
@@ -42,7 +42,7 @@ def in_lanes(kernel: Kernel, layout: Layout, shapes: Callable[[Layout, Any], PyT
 
     grouped = BatchedKernel(functools.partial(_over_groups, kernel, layout), results)
 
-    def rule(size: int, batched: list[PyTree], *arguments: PyTree) -> PyTree:
+    def rule(size: int, batched: list[PyTree], *arguments: object) -> PyTree:
         leaves, tree = jax.tree.flatten(arguments)
         flags = jax.tree.leaves(batched)
         groups = max(leaf.shape[flag] for leaf, flag in zip(leaves, flags))
@@ -70,7 +70,7 @@ def in_lanes(kernel: Kernel, layout: Layout, shapes: Callable[[Layout, Any], PyT
 
     grouped.rule = rule
 
-    def of_one(*arguments: PyTree) -> PyTree:
+    def of_one(*arguments: object) -> PyTree:
         result = grouped(*jax.tree.map(lambda leaf: leaf[None, None], arguments))
         return jax.tree.map(lambda leaf: leaf[0, 0], result)
 
@@ -99,7 +99,7 @@ def _over_groups(kernel: Kernel, layout: Layout, system: System, *arrays: jax.Ar
     return jax.lax.map(group, [leaf for leaf, is_own in zip(leaves, batched_leaves) if is_own])
 
 
-def in_blocks(kernel: Kernel, arguments: tuple[PyTree, ...]) -> PyTree:
+def in_blocks(kernel: Kernel, arguments: tuple[object, ...]) -> PyTree:
     """Apply `kernel` to leaves (cases or 1, ...), a block of cases at a time; results have the cases first.
 
     Args:
@@ -121,7 +121,7 @@ def in_blocks(kernel: Kernel, arguments: tuple[PyTree, ...]) -> PyTree:
     if cases == width:
         return block(jnp.zeros((), jnp.int32))
 
-    def write(number: jax.Array, results: PyTree) -> PyTree:
+    def write(number: jax.Array, results: object) -> PyTree:
         first = jnp.minimum(number * width, cases - width)  # the last block is whole
         return jax.tree.map(
             lambda all_, new: jax.lax.dynamic_update_slice_in_dim(all_, new, first, 0), results, block(first)

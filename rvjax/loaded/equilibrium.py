@@ -17,14 +17,14 @@ from rvjax._jax.programs import ONCE, quick
 from rvjax.catalogue import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer
-from rvjax.errors import RVErrors
+from rvjax.errors import Errors, RVErrors
 from rvjax.loaded.balance import compliance, forces
 from rvjax.loaded.case import Case, at_output, output_rotation, pressures, solve
 from rvjax.loaded.inputs import Read
 from rvjax.loaded.kinds import admit, check_input, named_forces, prepare
 from rvjax.loaded.newton import Minimum
 from rvjax.loaded.system import Layout
-from rvjax.records import Array, PyTree, Record, Scalar, field, record
+from rvjax.records import Array, Design, PyTree, Record, Scalar, field, record
 from rvjax.roots import solved
 from rvjax.status import SolveInfo, Status, succeeded
 
@@ -107,7 +107,7 @@ def _equilibrium(layout: Layout, design: PyTree, errors: PyTree, input_angle: Sc
 
 
 def error_alone(
-    layout: Layout, design: PyTree, errors: PyTree, input_angle: Scalar, output_torque: Scalar
+    layout: Layout, design: Design, errors: Errors, input_angle: Scalar, output_torque: Scalar
 ) -> jax.Array:
     """Error of an equilibrium and nothing else, NaN where it failed: half of the tracing of all.
 

@@ -13,7 +13,7 @@ from rvjax.base.fields import fit
 from rvjax.designs import CycloidStage
 from rvjax.errors import Errors, read_by
 from rvjax.geometry import least_convex_radius
-from rvjax.records import PyTree, Record, Scalar, promote
+from rvjax.records import Record, Scalar, promote
 from rvjax.status import Gate, Status
 
 Part = TypeVar("Part", bound=Record)
@@ -57,12 +57,12 @@ def check_shapes(parts: Sequence[Record], counts: Mapping[str, int]) -> None:
 
 
 def admitted(
-    design: PyTree,
+    design: Record,
     errors: Errors,
     torque: Scalar,
     angle: Scalar,
-    positive: Callable[[PyTree], jax.Array],
-    negative: Callable[[PyTree], jax.Array],
+    positive: Callable[[object], jax.Array],
+    negative: Callable[[object], jax.Array],
 ) -> Read:
     """Check the numbers that are read.
 
@@ -143,7 +143,7 @@ def _top(number: jax.Array) -> float:
     return float(jnp.finfo(number.dtype).max) ** (1 / 3)
 
 
-def _finite(tree: PyTree) -> jax.Array:
+def _finite(tree: object) -> jax.Array:
     finite = jnp.asarray(True)
     for leaf in jax.tree.leaves(tree):
         finite &= jnp.all(jnp.abs(leaf) < _top(leaf))  # false for NaN

@@ -7,12 +7,13 @@ import jax
 from rvjax.base.words import choose
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import RVReducer, expect
+from rvjax.errors import Errors
 from rvjax.loaded import cycloidal, laws, rv
 from rvjax.loaded.balance import Forces
 from rvjax.loaded.case import Case, NamedForces
 from rvjax.loaded.inputs import SUPPORTS, Read, check_shapes, check_teeth
 from rvjax.loaded.system import Layout
-from rvjax.records import PyTree, Scalar
+from rvjax.records import Design, PyTree, Scalar
 from rvjax.status import SolveInfo
 
 
@@ -43,12 +44,12 @@ class LoadedKind(Protocol):
 KINDS: dict[type, LoadedKind] = {RVReducer: rv, CycloidalReducer: cycloidal}
 
 
-def kind_of(design: PyTree) -> LoadedKind:
+def kind_of(design: Design) -> LoadedKind:
     """The module of a design's kind."""
     return next(kind for cls, kind in KINDS.items() if isinstance(design, cls))
 
 
-def check_kind(design: PyTree, errors: PyTree) -> None:
+def check_kind(design: Design, errors: Errors) -> None:
     """Raise an error for errors of another kind of reducer or of other counts.
 
     Args:
@@ -90,7 +91,7 @@ def check_input(design: PyTree, errors: PyTree, contact: str, carrier: str, sun:
     return kind_of(design).layout(design, errors, contact, carrier, sun)
 
 
-def admit(layout: Layout, design: PyTree, errors: PyTree, torque: Scalar, angle: Scalar) -> Read:
+def admit(layout: Layout, design: Design, errors: Errors, torque: Scalar, angle: Scalar) -> Read:
     """Check the numbers that are read.
 
     Args:

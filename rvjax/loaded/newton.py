@@ -304,6 +304,6 @@ def _most(*values: jax.Array) -> jax.Array:
     return functools.reduce(jnp.maximum, largest)
 
 
-def take(tree: PyTree, index: jax.Array) -> PyTree:
+def take(tree: object, index: jax.Array) -> PyTree:
     """The cases `index` of leaves (cases or 1, ...), batch axis last; a shared leaf keeps length 1."""
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf if len(leaf) == 1 else leaf[index], 0, -1), tree)

@@ -18,7 +18,7 @@ import numpy as np
 
 from rvjax._jax.programs import QUICK, quick
 from rvjax.designs import RVReducer
-from rvjax.errors import RVErrors
+from rvjax.errors import Errors, RVErrors
 from rvjax.loaded.encoder import Reading, reading
 from rvjax.loaded.equilibrium import equilibrium, error_alone
 from rvjax.loaded.inputs import SUPPORTS
@@ -28,7 +28,7 @@ from rvjax.loaded.revolution import Revolution, revolution
 from rvjax.loaded.system import Layout
 from rvjax.loaded.torsion import SHARES
 from rvjax.outputs import Observation, Spectrum, condition
-from rvjax.records import Array, PyTree, Scalar
+from rvjax.records import Array, Design, PyTree, Scalar
 
 SPANS = ("crank_turn", "output_turn")
 
@@ -162,7 +162,7 @@ def _errors(layout: Layout, design: PyTree, errors: PyTree, torques: Array, angl
     return _each(functools.partial(_error, layout, design, errors), torques, angles)
 
 
-def _error(layout: Layout, design: PyTree, errors: PyTree, torque: Scalar, angle: Scalar) -> jax.Array:
+def _error(layout: Layout, design: Design, errors: Errors, torque: Scalar, angle: Scalar) -> jax.Array:
     return error_alone(layout, design, errors, angle, torque)
 
 
@@ -258,7 +258,7 @@ def _spectrum(
     return jnp.mean(error, axis=1), jax.lax.complex(*real_imaginary)
 
 
-def _angle(design: PyTree, errors: PyTree, given: LoadedConditions, torques: Array) -> Array:
+def _angle(design: object, errors: PyTree, given: LoadedConditions, torques: Array) -> Array:
     """Output angle at each torque, input held."""
     angle = jnp.asarray(given.input_angle, jnp.result_type(float))[None]
     stiff = errors.stiffened(design)

@@ -39,7 +39,7 @@ from rvjax.loaded.observation import (
 from rvjax.loaded.revolution import Clearance, Revolution, clearance
 from rvjax.loaded.torsion import secant, twisted
 from rvjax.outputs import KNOWN_ERROR, Curve, Description, Output, Reading, Solved, Usual
-from rvjax.records import PyTree
+from rvjax.records import Design, PyTree
 from rvjax.status import SolveInfo, worst, worst_of
 from rvjax.units import MPa
 
@@ -117,7 +117,7 @@ def _fit(design: PyTree, errors: PyTree, conditions: LoadedConditions) -> Cleara
     return clearance(design, errors, turns=turns_of(design, conditions), samples=conditions.samples)
 
 
-def _least(clearances: Clearance, design: PyTree, conditions: LoadedConditions) -> Solved:
+def _least(clearances: Clearance, design: Design, conditions: LoadedConditions) -> Solved:
     return clearances.least, clearances.info.status
 
 

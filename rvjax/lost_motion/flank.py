@@ -214,7 +214,7 @@ def _descend(flank: Flank, starts: tuple[jax.Array, jax.Array]) -> tuple[_Point,
         best = _Point(*(jnp.where(lower, new, old) for new, old in zip(trial, best)))
         return best, jnp.where(lower, jnp.minimum(2 * damping, 1), damping / 4)
 
-    def body(_: PyTree, states: PyTree) -> PyTree:
+    def body(_: object, states: PyTree) -> PyTree:
         return tuple(step(state) for state in states)
 
     # The first step has length zero and evaluates the start.

@@ -199,7 +199,7 @@ def leading_comment(text: str) -> str:
     return " ".join(line.lstrip("# ") for line in lines)
 
 
-def plain(value: PyTree) -> PyTree:
+def plain(value: object) -> PyTree:
     """Results as JSON values; numbers that JSON cannot hold (inf, nan) become null."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         value = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}

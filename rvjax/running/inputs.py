@@ -16,7 +16,7 @@ from rvjax.designs import Bearings, Friction, Inertia, RVReducer, expect
 from rvjax.errors import Errors
 from rvjax.life import TurnPlan, check_alone, check_places
 from rvjax.loaded import Layout, Read, admit, check_input, unchecked
-from rvjax.records import PyTree, Scalar, concrete, promote, quantity
+from rvjax.records import Design, PyTree, Scalar, concrete, promote, quantity
 from rvjax.status import Gate, Status
 
 Inertias = tuple[Scalar, Scalar] | tuple[None, None]
@@ -105,7 +105,7 @@ KINDS: dict[type, FrictionKind] = {
 }
 
 
-def kind_of(design: PyTree) -> FrictionKind:
+def kind_of(design: Design) -> FrictionKind:
     """Entry of `KINDS` for a design.
 
     Args:

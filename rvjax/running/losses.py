@@ -171,7 +171,7 @@ def bearing_moments(call: Call, arm: jax.Array, support: jax.Array) -> dict[str,
 
 
 def ended(
-    call: Call, statuses: jax.Array, idle: jax.Array, values: PyTree, info: SolveInfo
+    call: Call, statuses: jax.Array, idle: jax.Array, values: object, info: SolveInfo
 ) -> tuple[PyTree, SolveInfo]:
     """Values for the user and their info: NaN where the input or an equilibrium fails.
 

@@ -17,6 +17,7 @@ from rvjax._jax.programs import QUICK, quick
 from rvjax.catalogue import part_class
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import Friction, RVReducer
+from rvjax.errors import Errors
 from rvjax.life import TurnPlan
 from rvjax.loaded import DriveConditions as OfDrive, LoadedConditions, ways
 from rvjax.outputs import Description, Joint, Output, Reading, Solved, Source, condition
@@ -41,7 +42,7 @@ class Turned(NamedTuple):
     status: jax.Array
 
 
-def supports_of(conditions: Any) -> tuple[str, str, str]:
+def supports_of(conditions: object) -> tuple[str, str, str]:
     """Contact, carrier and sun.
 
     Args:
@@ -101,22 +102,22 @@ def torques_of(conditions: Any) -> tuple[float, float, float]:
     return 0.0, size, -size
 
 
-def idle(design: Reducer, errors: PyTree, conditions: Any) -> Turned:
+def idle(design: Reducer, errors: Errors, conditions: object) -> Turned:
     """Without load."""
     return turned(design, errors, conditions, torques_of(conditions)[:1])[0]
 
 
-def forward(design: Reducer, errors: PyTree, conditions: Any) -> Turned:
+def forward(design: Reducer, errors: Errors, conditions: object) -> Turned:
     """Under the torque with which the input drives."""
     return turned(design, errors, conditions, torques_of(conditions)[1:2])[0]
 
 
-def backward(design: Reducer, errors: PyTree, conditions: Any) -> Turned:
+def backward(design: Reducer, errors: Errors, conditions: object) -> Turned:
     """Under the torque with which the output drives."""
     return turned(design, errors, conditions, torques_of(conditions)[2:])[0]
 
 
-def together(sources: tuple[Source, ...], design: Reducer, errors: PyTree, conditions: Any) -> tuple[Turned, ...]:
+def together(sources: tuple[Source, ...], design: Reducer, errors: Errors, conditions: object) -> tuple[Turned, ...]:
     """Several sets in one loop.
 
     Args:
@@ -185,15 +186,15 @@ def _backward(of_turn: Turned, design: Reducer, conditions: Any) -> Solved:
     return backward_efficiency(of_turn.loss, jnp.asarray(conditions.output_torque, of_turn.loss.dtype)), of_turn.status
 
 
-def _starting(of_turn: Turned, design: Reducer, conditions: Any) -> Solved:
+def _starting(of_turn: Turned, design: Reducer, conditions: object) -> Solved:
     return of_turn.rest / abs(design.ratio), of_turn.status
 
 
-def _no_load(of_turn: Turned, design: Reducer, conditions: Any) -> Solved:
+def _no_load(of_turn: Turned, design: Reducer, conditions: object) -> Solved:
     return of_turn.loss / abs(design.ratio), of_turn.status
 
 
-def _back_driving(start: BackDriving, design: Reducer, conditions: Any) -> Solved:
+def _back_driving(start: BackDriving, design: Reducer, conditions: object) -> Solved:
     return start.torque, start.info.status
 
 
@@ -206,7 +207,7 @@ def _set_of(conditions: Any) -> tuple[Source, ...]:
     return (forward,) if conditions.output_torque * sign_of(conditions) >= 0 else (backward,)
 
 
-def _refusing(name: str, check: Callable[[Any], None] | None = None) -> Callable[[PyTree, Any], None]:
+def _refusing(name: str, check: Callable[[object], None] | None = None) -> Callable[[PyTree, Any], None]:
     """Check the parts of a design and its friction, then run the check `check` of the conditions."""
 
     def refuse(design: Reducer, conditions: Any) -> None:

@@ -70,7 +70,7 @@ def numbers(joint: PyTree) -> dict[str, float | None]:
     return values
 
 
-def with_inertia(joint: PyTree, form: str) -> dict[str, float]:
+def with_inertia(joint: object, form: str) -> dict[str, float]:
     """Numbers of a joint model that has both inertias; a damping that is not given is 0.
 
     Args:
@@ -99,7 +99,7 @@ def digits(value: float) -> str:
 FORMAT, VERSION = "rvjax-joint", 1
 
 
-def as_json(joint: PyTree, header: Header) -> str:
+def as_json(joint: object, header: Header) -> str:
     """Text of the file.
 
     Args:
@@ -120,7 +120,7 @@ NUMBERS = ("mu_avg", "mu_dif", "forward_loss", "backward_loss")
 PROPORTIONAL = "friction in proportion to the load (its numbers are in <custom>)"
 
 
-def as_mjcf(joint: PyTree, header: Header) -> str:
+def as_mjcf(joint: object, header: Header) -> str:
     """Text of the file.
 
     Args:
@@ -155,7 +155,7 @@ def as_mjcf(joint: PyTree, header: Header) -> str:
     return header.xml((*MISSING, PROPORTIONAL), said) + ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-def remark(joint: PyTree) -> str:
+def remark(joint: object) -> str:
     """A sentence on the timestep of the file, which the train sets.
 
     Args:
@@ -216,7 +216,7 @@ end {name};
 """
 
 
-def as_modelica(joint: PyTree, header: Header) -> str:
+def as_modelica(joint: object, header: Header) -> str:
     """Text of the file.
 
     Args:
@@ -275,7 +275,7 @@ LINK = 1e-3  # mass in kg, and inertia in kg m2 where none is given, of a link t
 INTERFACE = "hardware_interface/EffortJointInterface"
 
 
-def as_urdf(joint: PyTree, header: Header) -> str:
+def as_urdf(joint: object, header: Header) -> str:
     """Text of the file.
 
     Args:

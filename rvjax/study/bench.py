@@ -38,7 +38,7 @@ def _taken(design: PyTree, values: Values) -> tuple[PyTree, PyTree]:
     return design, errors
 
 
-def _with(record: PyTree, path: tuple[str, ...], value: Scalar) -> PyTree:
+def _with(record: Record, path: tuple[str, ...], value: Scalar) -> PyTree:
     """Record with another number at a path, in the shape of the old number."""
     name, rest = path[0], path[1:]
     now = getattr(record, name)
@@ -138,7 +138,7 @@ class Curves(Record):
 def curve_model(
     model: str,
     design: Design,
-    conditions: PyTree,
+    conditions: object,
     runs: Sequence[Conditions],
     orders: Sequence[int],
     nuisances: Sequence[str],
@@ -206,7 +206,7 @@ def order_name(order: int) -> str:
     return f"order {order:03d}"
 
 
-def signed_torques(runs: Sequence[Conditions], conditions: PyTree) -> np.ndarray:
+def signed_torques(runs: Sequence[Conditions], conditions: object) -> np.ndarray:
     """Torque of the discs on the carrier in each run, N m: load opposes motion, so its sign is the direction.
 
     Args:
@@ -218,7 +218,7 @@ def signed_torques(runs: Sequence[Conditions], conditions: PyTree) -> np.ndarray
     return np.array([run.sign for run in runs]) * given
 
 
-def rated_torque(conditions: PyTree) -> float:
+def rated_torque(conditions: object) -> float:
     """Rated torque, N m; 0 if the conditions have none."""
     return float(getattr(conditions, "rated_torque", None) or 0.0)
 

@@ -13,7 +13,7 @@ import numpy as np
 from rvjax.catalogue import doubt, doubtful, shown, steep, undercut
 from rvjax.errors import described
 from rvjax.outputs import Output
-from rvjax.records import Design, PyTree
+from rvjax.records import Design, Record
 from rvjax.study.kinds import kind_of, number_at
 from rvjax.study.tolerances import Form, stated_by
 from rvjax.study.values import Metadata
@@ -27,7 +27,7 @@ FAR_LIMIT = 10.0  # below the smallest known value of an output; assumed
 HALF_WIDTH = {"m": (0.5e-6, 40e-6), "rad": (1e-4, 9e-3), "-": (0.01, 0.3)}  # of the studies and sources in this package
 
 
-def refuse_impossible(design: Design, tolerances: PyTree, costs: dict[str, Cost], middles: dict[str, Middle]) -> None:
+def refuse_impossible(design: Design, tolerances: Record, costs: dict[str, Cost], middles: dict[str, Middle]) -> None:
     """Raise an error for parts that do not fit into each other, and for errors as large as the part.
 
     Raises:
@@ -54,9 +54,9 @@ def refuse_impossible(design: Design, tolerances: PyTree, costs: dict[str, Cost]
 
 
 def doubts(
-    design: PyTree,
+    design: Design,
     conditions: "DataclassInstance",
-    tolerances: PyTree,
+    tolerances: Record,
     forms: Mapping[str, Form] = MappingProxyType({}),
 ) -> list[str]:
     """Numbers that are far from those of every known reducer, a line each; tolerances as the file states them."""
@@ -108,7 +108,7 @@ def doubtful_limits(requirements: Mapping[str, Limits], outputs: Mapping[str, Ou
     return found
 
 
-def doubtful_costs(costs: Mapping[str, Cost], tolerances: PyTree) -> list[str]:
+def doubtful_costs(costs: Mapping[str, Cost], tolerances: Record) -> list[str]:
     """Process ranges that are far from those of known parts, or that exclude the initial tolerance, a line each.
 
     Args:
@@ -133,7 +133,7 @@ def doubtful_costs(costs: Mapping[str, Cost], tolerances: PyTree) -> list[str]:
     return found
 
 
-def _toleranced(tolerances: PyTree) -> Iterator[tuple[str, Tolerance, Metadata]]:
+def _toleranced(tolerances: Record) -> Iterator[tuple[str, Tolerance, Metadata]]:
     for f in dataclasses.fields(tolerances):
         if (tolerance := getattr(tolerances, f.name)) is not None:
             yield f.name, tolerance, f.metadata

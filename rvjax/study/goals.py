@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from rvjax.base.words import unknown
 from rvjax.outputs import Output
-from rvjax.records import IN_ERROR_UNIT, Design, PyTree
+from rvjax.records import IN_ERROR_UNIT, Design, Record
 from rvjax.study.kinds import fields_of, kind_of, number_at, split
 from rvjax.study.tolerances import metadata
 from rvjax.study.values import (
@@ -141,7 +141,7 @@ def parse_objective(table: Toml, outputs: Mapping[str, Output]) -> dict[str, Pri
     return {name: _price(table[name], outputs[name].unit, f"objective.{name}") for name in names}
 
 
-def parse_costs(table: Toml, record: PyTree, tolerances: PyTree) -> dict[str, Cost]:
+def parse_costs(table: Toml, record: type[Record], tolerances: Record) -> dict[str, Cost]:
     """The table [cost] as cost models by error.
 
     Args:
@@ -170,7 +170,9 @@ def parse_costs(table: Toml, record: PyTree, tolerances: PyTree) -> dict[str, Co
     return costs
 
 
-def parse_middles(table: Toml, record: PyTree, tolerances: PyTree, variables: Collection[str]) -> dict[str, Middle]:
+def parse_middles(
+    table: Toml, record: type[Record], tolerances: Record, variables: Collection[str]
+) -> dict[str, Middle]:
     """The table [middle] as ranges of mid-points by error.
 
     Args:

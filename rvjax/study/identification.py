@@ -14,7 +14,7 @@ from rvjax import models
 from rvjax.base.words import unknown
 from rvjax.measured import DIRECTIONS, KINDS, Kind
 from rvjax.outputs import Observation
-from rvjax.records import Design, PyTree
+from rvjax.records import Design, PyTree, Record
 from rvjax.study.tolerances import parse_tolerance
 from rvjax.study.values import Toml, choice, integer, known, naming_field, positive, quantity, subtable
 from rvjax.tolerances import Tolerance
@@ -63,7 +63,7 @@ class Identification:
     directions: tuple[str, ...] = tuple(DIRECTIONS)
     columns: Toml = dataclasses.field(default_factory=dict)
 
-    def prior(self, tolerances: PyTree) -> dict[str, Tolerance]:
+    def prior(self, tolerances: Record) -> dict[str, Tolerance]:
         """All fields of the values of a unit: errors that vary, unknown numbers, nuisances of the bench."""
         names = [f.name for f in dataclasses.fields(tolerances)]
         errors = {n: getattr(tolerances, n) for n in names if isinstance(getattr(tolerances, n), Tolerance)}
@@ -72,7 +72,7 @@ class Identification:
 
 
 def parse_identification(
-    table: Toml, columns: Toml, design: PyTree, tolerances: PyTree, folder: Path
+    table: Toml, columns: Toml, design: PyTree, tolerances: Record, folder: Path
 ) -> Identification:
     """Read the table [identify].
 

@@ -106,7 +106,7 @@ def parse_study(
     return study
 
 
-def _sections(tables: Mapping[str, PyTree], needs: Sequence[str] | None) -> dict[str, Reader]:
+def _sections(tables: Mapping[str, object], needs: Sequence[str] | None) -> dict[str, Reader]:
     """Readers of the tables of commands; raises ValueError for an unknown table, or for one that is missing."""
     sections = {table: read for table in tables if table not in TABLES and (read := _of_command(table))}
     known(tables, TABLES | set(sections) | models.tables(), "")
@@ -123,7 +123,7 @@ def _of_command(table: str) -> Reader | None:
     return read
 
 
-def _study(name: str, text: str, folder: Path, tables: Mapping[str, PyTree]) -> Study:
+def _study(name: str, text: str, folder: Path, tables: Mapping[str, object]) -> Study:
     """The study of these tables, without those of commands."""
     table = {key: subtable(tables, key) for key in TABLES}
     design = parse_design(table["design"])
@@ -172,7 +172,7 @@ def _run(table: Toml) -> dict[str, PyTree]:
 
 
 def _conditions(
-    design: Design, outputs: tuple[str, ...], identification: Identification | None, tables: Mapping[str, PyTree]
+    design: Design, outputs: tuple[str, ...], identification: Identification | None, tables: Mapping[str, object]
 ) -> PyTree:
     kind = models.kind(design)
     fields = {f.name: f.metadata for f in dataclasses.fields(kind.conditions)}

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from rvjax import models
 from rvjax._jax.programs import ONCE
 from rvjax.base.words import unknown
-from rvjax.errors import described
+from rvjax.errors import Errors, described
 from rvjax.levels import Choice
 from rvjax.outputs import Joint, Reading, Solved, Source
 from rvjax.records import Design, PyTree, Record, Scalar, field, record, text
@@ -148,7 +148,7 @@ class Response(Record):
         instead = {level[0]: level[3] for level in self.levels if level[3] is not None}
         return {name: instead.get(name, name) for name in self.outputs}
 
-    def _one(self, name: str, errors: PyTree, shared: dict[Level, dict[Source, PyTree]]) -> Solved:
+    def _one(self, name: str, errors: Errors, shared: dict[Level, dict[Source, object]]) -> Solved:
         level = next((level[1:] for level in self.levels if level[0] == name), None)
         source = name if level is None or level[2] is None else level[2]
         evaluate = models.kind(self.design).outputs[source].evaluate
@@ -194,7 +194,7 @@ class DesignResponse(Record):
         return [self.replace(response=part) for part in self.response.parts()]
 
 
-def followed_bounds(tolerances: PyTree) -> tuple[str, ...]:
+def followed_bounds(tolerances: Record) -> tuple[str, ...]:
     """Errors without a place that have no tolerance of their own and follow from an error with one."""
     given = {f.name for f in dataclasses.fields(tolerances) if getattr(tolerances, f.name) is not None}
     bounds = described(tolerances, "bounds")
@@ -206,7 +206,7 @@ def _status(response: Response, errors: PyTree) -> jax.Array:
     return response(errors).status
 
 
-def check_nominal(response: Response, errors: PyTree) -> None:
+def check_nominal(response: Response, errors: Errors) -> None:
     """Raise an error if the unit without errors fails.
 
     Args:

@@ -13,7 +13,7 @@ from rvjax.base.words import unknown
 from rvjax.catalogue import accept
 from rvjax.levels import Choice, choose
 from rvjax.outputs import Curve, Output
-from rvjax.records import PyTree, Scalar
+from rvjax.records import PyTree, Record, Scalar
 from rvjax.study.design import Number, comments, design_numbers, given_paths, is_assumed
 from rvjax.study.doubts import doubtful_costs, doubtful_limits, doubts
 from rvjax.study.goals import Price
@@ -240,7 +240,7 @@ class Study:
             *doubtful_limits(self.requirements, outputs),
         ]
 
-    def inaccurate(self, tolerances: PyTree | None = None) -> list[str]:
+    def inaccurate(self, tolerances: Record | None = None) -> list[str]:
         """Errors of the results of a model that these numbers bring, a line each: where a result is read, it has them.
 
         Args:

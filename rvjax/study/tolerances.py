@@ -14,7 +14,7 @@ from rvjax import models
 from rvjax.base.fields import axis_sizes
 from rvjax.errors import described, placed_by
 from rvjax.population import COMMON, DISTRIBUTIONS
-from rvjax.records import Design, PyTree, Shape
+from rvjax.records import Design, PyTree, Record, Shape
 from rvjax.study.values import Metadata, Toml, choice, integer, known, naming_field, quantity, subtable
 from rvjax.tolerances import Tolerance, for_design
 
@@ -161,7 +161,7 @@ def _text(value: float) -> str:
     return f"{value!r} m"
 
 
-def refuse_unplaced(kind: models.Kind, outputs: Sequence[str], tolerances: PyTree) -> None:
+def refuse_unplaced(kind: models.Kind, outputs: Sequence[str], tolerances: Record) -> None:
     """Raise an error for a tolerance with a place that no required model supports.
 
     Raises:

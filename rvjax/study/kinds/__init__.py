@@ -5,7 +5,7 @@ from collections.abc import Collection, Iterable, Mapping
 from rvjax.catalogue import shown
 from rvjax.designs import CamRollerReducer
 from rvjax.mesh_force import largest_roller_radius, undercut_margin
-from rvjax.records import PyTree, Scalar
+from rvjax.records import PyTree, Record, Scalar
 from rvjax.study.kinds import cycloidal, rv
 from rvjax.study.kinds.following import (
     Law as Law,
@@ -58,7 +58,7 @@ def orders_of(design: object) -> Mapping[str, float]:
 
 
 def changed(
-    design: PyTree,
+    design: Record,
     values: Mapping[str, Scalar],
     given: Collection[str] = (),
     *,

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 
 from rvjax.catalogue import part_class
-from rvjax.records import Design, PyTree, Scalar
+from rvjax.records import Design, PyTree, Record, Scalar
 from rvjax.study.values import Metadata
 
 Follow = Callable[[PyTree, Mapping[str, Scalar], Mapping[str, PyTree], Collection[str]], Mapping[str, PyTree]]
@@ -66,7 +66,7 @@ class Following:
 
     def changed(
         self,
-        design: PyTree,
+        design: Record,
         values: Mapping[str, Scalar],
         given: Collection[str] = (),
         *,
@@ -125,7 +125,7 @@ def split(path: str) -> tuple[list[str], int | None]:
     return found[1].split("."), None if found[2] is None else int(found[2])
 
 
-def _replaced(record: PyTree, changes: Mapping[str, PyTree]) -> PyTree:
+def _replaced(record: Record, changes: Mapping[str, object]) -> PyTree:
     """A record of records with numbers replaced, by path: every record is checked once, with all its new numbers."""
     own: dict[str, PyTree] = {}
     parts: dict[str, dict[str, PyTree]] = {}

@@ -66,7 +66,7 @@ def _no_lines(*_: object) -> list[Any]:
     return []
 
 
-def _first(*given: Any) -> Any:
+def _first(*given: object) -> Any:
     """The first argument, unchanged."""
     return given[0]
 

@@ -82,7 +82,7 @@ def derivation(design: RVReducer, path: str, value: Scalar) -> str:
     return f"derived: {how[path][1]}"
 
 
-def implied(numbers: Mapping[str, PyTree]) -> list[str]:
+def implied(numbers: Mapping[str, object]) -> list[str]:
     """Radii of standard gears: they follow from teeth and module."""
     own = {path.partition(".")[2]: value for path, value in numbers.items() if path.startswith("involute.")}
     due = _standard(own)
