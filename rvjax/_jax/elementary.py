@@ -40,7 +40,7 @@ def log(x: jax.Array) -> jax.Array:
 
 
 @log.defjvp
-def _log_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
+def _log_jvp(primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
     (x,), (dx,) = primals, tangents
     return log(x), dx / x
 
@@ -109,7 +109,7 @@ def sin_cos(x: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 @sin_cos.defjvp
-def _sin_cos_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
+def _sin_cos_jvp(primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]) -> PyTree:
     sine, cosine = sin_cos(*primals)
     (dx,) = tangents
     return (sine, cosine), (cosine * dx, -sine * dx)
@@ -155,7 +155,7 @@ def arctan2(y: jax.Array, x: jax.Array) -> jax.Array:
 
 
 @arctan2.defjvp
-def _arctan2_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
+def _arctan2_jvp(primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
     (y, x), (dy, dx) = primals, tangents
     square = x * x + y * y
     return arctan2(y, x), (x * dy - y * dx) / jnp.where(square == 0, 1, square)

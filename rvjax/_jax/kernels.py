@@ -70,7 +70,7 @@ class BatchedKernel:
 
 
 @functools.partial(jax.jit, static_argnames=("kernel", "tree"))
-def _computed(*leaves: Any, kernel: BatchedKernel, tree: Any) -> list[jax.Array]:
+def _computed(*leaves: object, kernel: BatchedKernel, tree: object) -> list[jax.Array]:
     return _batched_kernel.bind(*leaves, kernel=kernel, tree=tree)
 
 

@@ -34,7 +34,7 @@ from rvjax.dynamics.error_transfer import (
 )
 from rvjax.dynamics.modes import modal_sectors
 from rvjax.errors import RVErrors
-from rvjax.records import Array, PyTree, Record, Scalar, concrete, field, record, text
+from rvjax.records import Array, Record, Scalar, concrete, field, record, text
 from rvjax.status import SolveInfo
 
 
@@ -254,7 +254,7 @@ def largest(rows: jax.Array, columns: jax.Array) -> jax.Array:
 
 
 @largest.defjvp
-def _largest_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
+def _largest_jvp(primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
     (rows, columns), (rows_change, columns_change) = primals, tangents
     place = place_of_largest(rows, columns)[:, None, None, :, None]
     rows, rows_change = (jnp.take_along_axis(x, place, axis=2)[:, :, 0] for x in (rows, rows_change))

@@ -172,7 +172,7 @@ def matrix_root(matrix: jax.Array, square: jax.Array) -> jax.Array:
 
 
 @matrix_root.defjvp
-def _matrix_root_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
+def _matrix_root_jvp(primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]) -> PyTree:
     matrix, square = primals
     root = matrix_root(matrix, square)
     pair = jnp.sqrt(square)[:, None] + jnp.sqrt(square)[None, :]
@@ -257,7 +257,7 @@ def _eigh(matrix: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 @_eigh.defjvp
-def _eigh_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
+def _eigh_jvp(primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]) -> PyTree:
     # A change of the design keeps the symmetry, hence every repeated pair: inside a pair nothing turns.
     values, vectors = _eigh(primals[0])
     change = jnp.swapaxes(vectors, -1, -2) @ tangents[0] @ vectors

@@ -66,7 +66,7 @@ def of_flank(cycloid: CycloidStage, ground: Ground, plain: Array) -> tuple[Array
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def largest(function: Callable[[Array, PyTree], Array], grid: np.ndarray, given: object) -> Array:
+def largest(function: Callable[[Array, object], Array], grid: np.ndarray, given: object) -> Array:
     """Largest value of a function of the lobe angle; its derivative is that at the place of the largest value.
 
     Args:
@@ -89,7 +89,7 @@ def _largest_jvp(
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def _place(function: Callable[[Array, PyTree], Array], grid: np.ndarray, given: object) -> Array:
+def _place(function: Callable[[Array, object], Array], grid: np.ndarray, given: object) -> Array:
     """The best of a grid, refined by parabolas."""
     dtype, step = jax.tree.leaves(given)[0].dtype, float(grid[1] - grid[0])
     place = jnp.asarray(grid, dtype)[jnp.argmax(function(jnp.asarray(grid, dtype), given))]

@@ -99,7 +99,7 @@ def equilibrium(
 
 
 @quick(0, options=ONCE)
-def _equilibrium(layout: Layout, design: PyTree, errors: PyTree, input_angle: Scalar, output_torque: Scalar) -> Loaded:
+def _equilibrium(layout: Layout, design: Design, errors: Errors, input_angle: Scalar, output_torque: Scalar) -> Loaded:
     read = admit(layout, design, errors, output_torque, input_angle)
     case = prepare(layout, read, read.angle).loaded(read.torque)
     minimum, info = solve(layout, read, case, jnp.full((layout.unknowns,), jnp.nan, read.torque.dtype))

@@ -16,7 +16,6 @@ import jax.numpy as jnp
 
 from rvjax._jax.elementary import log, power
 from rvjax.designs import Contact
-from rvjax.records import PyTree
 
 CONTACTS = ("hertz", "linear", "palmgren")
 
@@ -99,7 +98,7 @@ def _hertz(depth: jax.Array, compliance: jax.Array, level: jax.Array) -> jax.Arr
 
 
 @_hertz.defjvp
-def _hertz_jvp(primals: PyTree, tangents: PyTree) -> tuple[jax.Array, jax.Array]:
+def _hertz_jvp(primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
     (depth, compliance, level), (ddepth, dcompliance, dlevel) = primals, tangents
     load = _hertz(depth, compliance, level)
     reserve = _reserve(depth, load, compliance)

@@ -16,14 +16,14 @@ from rvjax._jax.programs import quick
 from rvjax.catalogue import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer, expect
-from rvjax.errors import RVErrors
+from rvjax.errors import Errors, RVErrors
 from rvjax.loaded.balance import forces
 from rvjax.loaded.case import at_output, output_rotation, pressures, solve
 from rvjax.loaded.inputs import Read, check_teeth
 from rvjax.loaded.kinds import KINDS, admit, check_input, check_kind, kind_of, named_forces, prepare
 from rvjax.loaded.newton import Minimum
 from rvjax.loaded.system import Layout
-from rvjax.records import Array, PyTree, Record, Scalar, field, record
+from rvjax.records import Array, Design, PyTree, Record, Scalar, field, record
 from rvjax.roots import solved
 from rvjax.status import SolveInfo, Status, succeeded, worst_of
 
@@ -268,6 +268,6 @@ def clearance(
 
 
 @quick(0, 1)
-def _clearance(samples: int, turns: float, design: PyTree, errors: PyTree) -> Clearance:
+def _clearance(samples: int, turns: float, design: Design, errors: Errors) -> Clearance:
     (least, each), info = kind_of(design).fit(samples, turns, design, errors)
     return Clearance(least, each, info)

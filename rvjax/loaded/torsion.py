@@ -68,7 +68,7 @@ def torsion(
 
 
 @quick(0)
-def _torsion(layout: Layout, design: PyTree, errors: PyTree, input_angle: Scalar, rated_torque: Scalar) -> Torsion:
+def _torsion(layout: Layout, design: Record, errors: Record, input_angle: Scalar, rated_torque: Scalar) -> Torsion:
     error, info = twisted(layout, design, errors, input_angle, rated_torque, SHARES)
     rated = jnp.asarray(rated_torque, error.dtype)
     torque = rated * jnp.asarray([[-share, share] for share in SHARES], error.dtype)

@@ -13,7 +13,7 @@ from rvjax._jax.programs import ONCE, quick
 from rvjax.catalogue import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import Friction, RVReducer
-from rvjax.errors import RVErrors
+from rvjax.errors import Errors, RVErrors
 from rvjax.life import TurnPlan
 from rvjax.loaded import Case, compliance, equilibria, forces, named_forces, output_rotation
 from rvjax.records import Array, PyTree, Record, Scalar, concrete, field, quantity, record
@@ -200,7 +200,7 @@ def joint(
 def _joint(
     plan: TurnPlan,
     design: PyTree,
-    errors: PyTree,
+    errors: Errors,
     friction: Friction,
     rated_torque: Scalar,
     damping: Scalar | None,

@@ -68,7 +68,7 @@ def turned(design: Reducer, errors: PyTree, conditions: Any, torques: tuple[Scal
 
 @quick(0)
 def _turned(
-    plan: TurnPlan, design: Reducer, errors: PyTree, friction: Friction, torques: tuple[Scalar, ...], speed: Scalar
+    plan: TurnPlan, design: Reducer, errors: Errors, friction: Friction, torques: tuple[Scalar, ...], speed: Scalar
 ) -> tuple[Turned, ...]:
     call = entered(plan, design, errors, friction, 0.0, speed=speed)
     under = jnp.stack([jnp.asarray(torque, call.read.torque.dtype) for torque in torques])

@@ -202,7 +202,7 @@ def followed_bounds(tolerances: Record) -> tuple[str, ...]:
 
 
 @per_response(options=ONCE)
-def _status(response: Response, errors: PyTree) -> jax.Array:
+def _status(response: Response, errors: Errors) -> jax.Array:
     return response(errors).status
 
 

@@ -175,7 +175,7 @@ def refuse_unplaced(kind: models.Kind, outputs: Sequence[str], tolerances: Recor
             raise ValueError(f"tolerances.{field}: required responses do not use it, only {shown}")
 
 
-def metadata(record: PyTree, field: str) -> Metadata:
+def metadata(record: type[Record], field: str) -> Metadata:
     """Metadata of a field of a class of records."""
     return next(f.metadata for f in dataclasses.fields(record) if f.name == field)
 
