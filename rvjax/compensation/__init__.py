@@ -5,8 +5,16 @@ is at theta_in/ratio + d.
 """
 
 from rvjax.compensation.correction import Correction, Left, Residual, correction, phase_residual, predicted, residual
-from rvjax.compensation.files import FORMS as FORMS, export, exported as exported, read
-from rvjax.compensation.table import Schedule, Table, schedule, table
+from rvjax.compensation.table import (
+    FORMS as FORMS,
+    Schedule,
+    Table,
+    export,
+    exported as exported,
+    read,
+    schedule,
+    table,
+)
 
 __all__ = ["Correction", "Left", "Residual", "Schedule", "Table", "correction", "export", "phase_residual"]
 __all__ += ["predicted", "read", "residual", "schedule", "table"]
