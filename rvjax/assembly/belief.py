@@ -1,4 +1,4 @@
-"""What is known of measured parts: their posterior from value, spread of the gauge and population, and draws of it.
+"""Beliefs on measured parts: their posterior from value, spread of the gauge and population, and draws of it.
 
 Without the population a plan chases the noise of the gauge: the best of many noisy values is mostly noise.
 """
