@@ -26,7 +26,7 @@ from rvjax.commands.forecast import (
     SEARCHING,
     solved_units,
 )
-from rvjax.render import Report, folders, results_folder, write_files
+from rvjax.render import Report, report, results_folder, write_files
 from rvjax.tolerances import QUICK, units_of
 from rvjax.units import arcmin, um
 
@@ -209,7 +209,7 @@ def test_a_fresh_result_takes_the_place_of_the_stored_one(answers, undrawn, here
     for owner, name, bad in (
         (rvjax.commands.allocate.answer, "answer", fails),
         (Report, "json", fails),
-        (folders, "os", swap),
+        (report, "os", swap),
     ):
         stale()
         with monkeypatch.context() as patch:

@@ -1,7 +1,7 @@
 """Costly units near their limits: at a neighbouring vector only these are solved, the others keep their values.
 
 A limit on a share needs the values of the units about a quantile. Units that were far inside the limit at one vector
-are rarely beyond it at the next. Some of them, spread over all, are solved too and tell whether this is so.
+are rarely beyond it at the next. Some of them, spread over all, are solved too and show whether this is so.
 """
 
 from collections.abc import Callable, Sequence

@@ -263,7 +263,7 @@ class Programme:
         The change is the least one that is symmetric (Powell 1970), along mid-points and numbers if there are any, by
         their part of the step: the model is less wrong along half-widths. Derivatives of few units count less two
         standard errors. Along mid-points and numbers the model also has at least the values of a step not taken: next
-        to a corner derivatives of few units tell little.
+        to a corner derivatives of few units are not accurate.
         """
         whole = (there.x - here.x) / self.decisions.reach
         bending = np.arange(len(whole)) >= (self._first if self._first < len(whole) else 0)
