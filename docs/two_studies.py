@@ -5,7 +5,7 @@ import numpy as np
 from benchmarks.tables import stored, table
 from rvjax import plotting, study
 from rvjax.commands.budget import Budget
-from rvjax.commands.sections.cells import limits_of
+from rvjax.commands.cells import limits_of
 from rvjax.plotting.style import AFTER, BEFORE
 
 JUDGED = {

@@ -9,8 +9,8 @@ import pytest
 
 from rvjax import cli, tolerances
 from rvjax.base import progress
+from rvjax.commands.cells import met_text
 from rvjax.commands.compare import cost_of, differences, put_into
-from rvjax.commands.sections.cells import met_text
 from rvjax.study import load, parse_study
 from rvjax.tolerances import MeanWithin, Requirement, Tolerance
 from rvjax.units import um

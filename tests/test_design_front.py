@@ -6,11 +6,11 @@ from types import SimpleNamespace
 import pytest
 
 from rvjax import study
+from rvjax.commands.cells import binding
 from rvjax.commands.design import figures, optimum as command
 from rvjax.commands.design.optimum import Designed, Point
 from rvjax.commands.design.prices import limit_price, multiplier, nominal_limit
 from rvjax.commands.design.tables import numbers, others, saved_part, starts_text
-from rvjax.commands.sections.cells import binding
 from rvjax.outputs import Output
 from rvjax.tolerances import Nominal
 from rvjax.units import mm, um

@@ -16,9 +16,9 @@ from live_study import in_node
 from rvjax import study
 from rvjax.commands import compare
 from rvjax.commands.allocate import answer as computed, report_on
-from rvjax.commands.design import prices as design_prices, sliders as design_live
+from rvjax.commands.cells import limits_of
+from rvjax.commands.design import prices as design_prices
 from rvjax.commands.report import response_surface, sliders as page_sliders
-from rvjax.commands.sections.cells import limits_of
 from rvjax.render import Limits
 from rvjax.study import rewrite
 from rvjax.study.tolerances import FORMS, forms
@@ -239,11 +239,11 @@ def test_sliders_and_prices_of_a_design_are_those_of_the_drawing(asked):
     )
     joint.multipliers = joint.value_prices = {}
     found = SimpleNamespace(joint=SimpleNamespace(found=joint))
-    (slider,) = design_live.data(asked, found)["sliders"]
+    (slider,) = design_prices.data(asked, found)["sliders"]
     shown = {key: slider[key] for key in ("label", "centre", "before", "low", "high")}
     assert shown == {"label": "disc centre runout"} | {
         key: pytest.approx(4 * size) for key, size in dict(centre=2.0, before=3.75, low=1.0, high=20.0).items()
     }
-    (field,) = design_live.data(asked, found)["fields"]
+    (field,) = design_prices.data(asked, found)["fields"]
     assert field["cost"] == {"fixed": 0.0, "scale": 2.0, "reference": pytest.approx(20.0), "power": 1.0}
     assert "1 um of the runout of disc_centre: 0.625" in design_prices.price_note(asked, found).text

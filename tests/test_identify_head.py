@@ -7,8 +7,7 @@ import pytest
 from scipy import optimize
 
 from rvjax import identify
-from rvjax.commands.identify.head import CONSISTENT, head_of, one_head
-from rvjax.commands.identify.words import head_lines
+from rvjax.commands.identify.words import CONSISTENT, head_lines, head_of, one_head
 from rvjax.study.identification import WIDE, nuisance
 from rvjax.units import arcsec
 

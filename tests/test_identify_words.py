@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from rvjax import catalogue
-from rvjax.commands.identify.figures import _elements
 from rvjax.commands.identify.identified import Identified
+from rvjax.commands.identify.tables import _elements_plotted
 from rvjax.commands.identify.words import combinations, doubts
 from rvjax.identify import Direction
 from rvjax.identify.elements import Elements
@@ -99,7 +99,7 @@ def test_components_of_a_vector_are_plotted_between_both_signs_of_its_length():
         problem=SimpleNamespace(prior=PRIOR, nuisance=()),
         check=SimpleNamespace(resolution=dict.fromkeys(held.names, 0.0), verdict=dict.fromkeys(held.names, "unseen")),
     )
-    bars = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in _elements(found).patches if bar.get_width()]
+    bars = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in _elements_plotted(found).patches if bar.get_width()]
     reach = 1.959964 / 3
     assert bars[0] == pytest.approx((-reach, reach), rel=1e-6)
     assert {round(high, 6) for _, high in bars} == {round(reach, 6), 0.1, 0.2}  # 3 um of 30 and of 15

@@ -3,8 +3,8 @@
 import pytest
 
 from rvjax import catalogue, study
+from rvjax.commands.cells import assumed_text
 from rvjax.commands.report.page import design_section
-from rvjax.commands.sections.cells import assumed_text
 from rvjax.render import Figure, Report
 from rvjax.study.study import About
 

@@ -14,7 +14,7 @@ import pytest
 from cli_study import one_start
 
 from rvjax import study
-from rvjax.commands.design import sliders
+from rvjax.commands.design import prices
 from rvjax.commands.design.optimum import Designed, Point
 from rvjax.tolerances import allocate
 
@@ -60,7 +60,7 @@ def page():
         )  # fmt: skip
     outputs = {n: float(v) for n, v in made.nominal_response()(made.design.error_record(), found.values).value.items()}
     point = Point(found, made.design_with(found.values), outputs)
-    return made, found, sliders.data(made, Designed(point, outputs, None, {}, None, [], []))
+    return made, found, prices.data(made, Designed(point, outputs, None, {}, None, [], []))
 
 
 def predicted(at):

@@ -17,7 +17,7 @@ import pytest
 
 from rvjax import RVErrors, cli, four_bar, plotting, study
 from rvjax.base import progress
-from rvjax.commands.budget import budgets, effects, error_budget, regression, report_on, section_on, tables
+from rvjax.commands.budget import budgets, effects, error_budget, report_on, section_on, tables
 from rvjax.errors import STAGES
 from rvjax.population import Population, Tolerance, drawn, root_key
 from rvjax.render import Note, Table, write_files
@@ -134,7 +134,7 @@ def test_the_budget_of_a_regression_is_that_of_its_linear_part():
     errors = rng.standard_normal((42, units)) * np.array([1.0, 1.0, *[1e-6] * 40])[:, None]
     noise = (rng.standard_normal(units) + 1j * rng.standard_normal(units)) / np.sqrt(2)
     waves = np.stack([np.full(units, 7.0), 3 * errors[0] + 4j * errors[1] + 2 * noise], axis=1)
-    found = regression.fitted(errors, waves, {"x": 1, "y": 1, "idle": 40})
+    found = budgets.fitted(errors, waves, {"x": 1, "y": 1, "idle": 40})
     spread = 5 * np.sqrt(2 / units)  # five standard errors of a variance
     assert found["variance"]["x"][1] == pytest.approx(4.5, rel=spread)
     assert found["variance"]["y"][1] == pytest.approx(8.0, rel=spread)
@@ -232,11 +232,11 @@ def test_the_report_lists_the_contributors_to_the_error(found):
 
 
 def test_which_studies_have_a_budget(question, monkeypatch):
-    monkeypatch.setattr(regression, "error_budget", lambda one, *, tolerances: one.name)
-    monkeypatch.setattr(regression, "linear_budget", lambda one, tolerances: None)
+    monkeypatch.setattr(budgets, "error_budget", lambda one, *, tolerances: one.name)
+    monkeypatch.setattr(budgets, "linear_budget", lambda one, tolerances: None)
     asked = [study.load(name, solve=False) for name in ("rv-40e", "rv-40e-whole", "corr")]
     still = parse_study(TEXT.replace('"412 N m"', '"0 N m"'), name="still", solve=False)
-    found = [regression.budget_if_any(one) for one in (*asked, question, still)]
+    found = [budgets.budget_if_any(one) for one in (*asked, question, still)]
     assert found == ["rv-40e", "rv-40e-whole", None, "x", None]
 
 

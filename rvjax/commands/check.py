@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rvjax import models, study
+from rvjax.commands.cells import assumed_text, condition_text, limit_text, limits_data, limits_of
 from rvjax.commands.forecast import choices, expected, level_lines
 from rvjax.commands.inputs import Inputs, option, study_argument
-from rvjax.commands.sections.cells import assumed_text, condition_text, limit_text, limits_data, limits_of
 from rvjax.levels import Choice
 from rvjax.render import Cell, Figure, Limits, Note, Number, Report, Table, Text
 from rvjax.study import KINDS, Study, facts_of, kind_of, numbers, shown

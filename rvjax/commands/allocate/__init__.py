@@ -6,19 +6,22 @@ from dataclasses import dataclass
 from rvjax import study
 from rvjax.commands.allocate import answer, stored_result
 from rvjax.commands.allocate.answer import Answer as Answer, Side as Side
-from rvjax.commands.allocate.figures import figures as figures
 from rvjax.commands.allocate.full_model_check import (
     unlimited_tables as unlimited_tables,
     unlimited_texts as unlimited_texts,
 )
-from rvjax.commands.allocate.shortfall import shortfall_text as shortfall_text, shortfalls as shortfalls
 from rvjax.commands.allocate.stored_result import FILE as FILE, restored_from as restored_from
 from rvjax.commands.allocate.tables import (
-    headline as headline,
-    limits_of_the_answer as limits_of_the_answer,
+    figures as figures,
     report_on as report_on,
     requirement_table as requirement_table,
     tolerance_tables as tolerance_tables,
+)
+from rvjax.commands.allocate.texts import (
+    headline as headline,
+    limits_of_the_answer as limits_of_the_answer,
+    shortfall_text as shortfall_text,
+    shortfalls as shortfalls,
 )
 from rvjax.commands.console import READING, WRITING, share_cores, tell, units_placed
 from rvjax.commands.forecast import expected, forewarn, phases_of, seconds_of_units

@@ -14,7 +14,7 @@ import numpy as np
 
 from rvjax import models
 from rvjax._jax.sizes import AT_ONCE
-from rvjax.commands.sections.cells import limit_text, share
+from rvjax.commands.cells import limit_text, share
 from rvjax.errors import described
 from rvjax.population import Estimate, Population, wilson
 from rvjax.render import Cell, Interval, Number, Quantity, Table, Text, Titled

@@ -1,38 +1,39 @@
-"""Report of `rvjax allocate`: verdict, cost, tolerances, influence of each error, requirements, certificate."""
+"""Report of `rvjax allocate`: tables of tolerances, requirements and cost, and plots."""
 
 import dataclasses
 import functools
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+import rvjax
 from rvjax.base.files import versions
 from rvjax.commands.allocate import stored_result
 from rvjax.commands.allocate.answer import Answer
-from rvjax.commands.allocate.figures import figures
-from rvjax.commands.allocate.full_model_check import unlimited_tables, unlimited_texts, whole_text
-from rvjax.commands.allocate.shortfall import shortfalls
-from rvjax.commands.sections.cells import (
-    assumed_text,
+from rvjax.commands.allocate.full_model_check import unlimited_tables
+from rvjax.commands.allocate.texts import headline, limits_of_the_answer
+from rvjax.commands.cells import (
+    IN_FILE,
+    NOT_IN_FILE,
     binding,
     evaluated,
     failures_text,
+    influence_tables,
     limit_text,
     limits_data,
     limits_of,
     met_text,
     price_text,
-    searched_texts,
-    share,
 )
-from rvjax.commands.sections.influence import IN_FILE, NOT_IN_FILE, influence_tables
-from rvjax.population import Estimate
 from rvjax.render import (
     PAGE,
     Cell,
     Column,
+    Figure,
     Interval,
     Limits,
     Note,
@@ -47,7 +48,7 @@ from rvjax.render import (
     column,
     number,
 )
-from rvjax.tolerances import Allocation, expected_losses
+from rvjax.tolerances import Allocation, least_yield
 from rvjax.units import readable, with_unit
 
 GRADED = ("graded", "grade", "cost_graded")
@@ -80,64 +81,6 @@ def report_on(answer: Answer) -> Report:
         data=_data(answer),
         files={"study.toml": answer.study.text.encode(), stored_result.FILE: stored_result.stored(answer)},
     )
-
-
-def headline(answer: Answer) -> str:
-    """Status with joint yield and cost, or the reason why there is no result."""
-    study, allocation = answer.study, answer.allocation
-    lines = [f"Study {study.name}: {allocation.status}", *filter(None, [study.about.line()])]
-    if (joint := allocation.certificate.joint_yield) is not None:
-        target = "no joint_target set" if study.joint_target is None else f"joint_target {100 * study.joint_target:g} %"
-        lines.append(f"joint yield: {share(joint).text()} ({target})")
-    lines.append("")
-    if allocation.feasible:
-        change = 100 * (allocation.cost / allocation.start_cost - 1)
-        lines.append(f"cost {allocation.start_cost:.3f} -> {allocation.cost:.3f} ({change:+.1f} %)")
-        if graded := allocation.graded:
-            lines.append(f"with ISO 286 grades: cost {graded.cost:.3f} ({graded.status})")
-        lines += losses_of(answer)
-        lines += unlimited_texts(answer.unlimited, study)
-    else:
-        lines.append("No tolerances within the process ranges were found to meet the requirements; at the finest ones")
-    lines += [f"  the limit of {name} {text}" for name, text in shortfalls(study, allocation).items()]
-    return "\n".join(lines)
-
-
-def losses_of(answer: Answer) -> list[str]:
-    """Mean losses of the units that do not fail, before and after, and the cost with these."""
-    study, allocation, sums = answer.study, answer.allocation, [answer.allocation.start_cost]
-    if not study.losses:
-        return []
-    lines, given = [], expected_losses(study.losses, answer.certificate_before)
-    for name, loss in study.losses.items():
-        before, after = given[name], allocation.losses[name]
-        unit, size = study.output(name).shown
-        sums[0] += before.value
-        at, target = (with_unit(float(value) / size, unit, "g") for value in (loss.at, loss.target))
-        priced = f"{float(loss.price):g} for {at} off {target}"
-        lines.append(f"mean loss of {name} ({priced}): {before.value:.3f} -> {after.value:.3f}, {_ends(after)}")
-    whole = allocation.objective
-    assert whole is not None
-    return [*lines, f"cost with losses {sums[0]:.3f} -> {whole.value:.3f}, {_ends(whole)}"]
-
-
-def _ends(estimate: Estimate) -> str:
-    return f"{estimate.lower:.3f} to {estimate.upper:.3f}"
-
-
-def limits_of_the_answer(answer: Answer) -> list[str]:
-    """Notes on the values, a line each: warnings, negative values, what is not modelled."""
-    study = answer.study
-    lines = [f"Doubtful: {line}" for line in study.doubts]
-    lines += [f"Inaccurate: {line}" for line in study.inaccurate(answer.allocation.tolerances)]
-    lines += [f"Assumed (not published): {assumed_text(study)}"] if study.assumed else []
-    lines += searched_texts(study, answer.allocation.tolerances)
-    for name, values in answer.after.values.items():
-        below = float(np.mean(np.asarray(values) < 0))
-        if (meaning := study.output(name).below_zero) and below > 0:
-            lines.append(f"Negative {name} in {100 * below:.3g} % of the units: {meaning}")
-    lines += [f"Not modelled: {line}" for line in study.left_out]
-    return lines + ([whole_text(answer.whole, study)] if answer.whole is not None else [])
 
 
 def moved(allocation: Allocation) -> float:
@@ -322,3 +265,68 @@ def _data(answer: Answer) -> dict[str, object]:
         **({"unlimited": answer.unlimited} if answer.unlimited else {}),
         "cost_curve": answer.cost_curve,
     }
+
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+def figures(answer: Answer) -> Iterator[Figure]:
+    """Draw the plots of a result."""
+    study = answer.study
+    if study.curve is not None:
+        yield Figure("curves", f"{study.curve.title} of sample units, before and after", partial(_curves, answer))
+    for name in study.requirements:
+        yield Figure(f"histogram_{name}", _caption(answer, name), partial(_histogram, answer, name))
+    yield Figure(
+        "variance_shares",
+        "Share of each error in the variance of each response, after",
+        lambda: rvjax.plotting.variance_shares(answer.after.shares, title="Shares of the variance, after"),
+    )
+    if answer.cost_curve:
+        ends = [f"{cost:.3g} at {100 * share:.5g} %" for share, cost in (answer.cost_curve[0], answer.cost_curve[-1])]
+        caption = f"Cheapest cost for each yield, from {' to '.join(ends)}, with this study and the start"
+        yield Figure("cost_against_yield", caption, partial(_costs, answer))
+
+
+def _curves(answer: Answer) -> "Axes":
+    study, curve = answer.study, answer.study.curve
+    assert curve is not None
+    alike = (output for name in study.requirements if (output := study.output(name)).unit == curve.unit)
+    read_in = next((output.read_in for output in alike), None)
+    sides = answer.before.curves, answer.after.curves
+    return rvjax.plotting.unit_curves(answer.after.angle, *sides, curve.title, curve.unit, read_in=read_in)
+
+
+def _caption(answer: Answer, name: str) -> str:
+    study, certificate, values = answer.study, answer.allocation.certificate, answer.after.values[name]
+    caption = f"Distribution of {name.replace('_', ' ')} before and after, with its limits"
+    valid = values[np.isfinite(values)]
+    if not valid.size:
+        return caption
+    unit, size = study.output(name).shown
+    mean, sd = (with_unit(number / size, unit, ".3g") for number in (valid.mean(), valid.std()))
+    caption += f"; after: mean {mean}, sd {sd}"
+    known = (("Cp", certificate.cp_estimate), ("Cpk", certificate.cpk_estimate))
+    return caption + "".join(
+        f", {label} {found[name].value:.3g}" for label, found in known if found and math.isfinite(found[name].value)
+    )
+
+
+def _histogram(answer: Answer, name: str) -> "Axes":
+    output, requirement = answer.study.output(name), answer.study.requirements[name]
+    return rvjax.plotting.histogram(
+        {"after": answer.after.values[name], "before": answer.before.values[name]},
+        unit=output.unit,
+        read_in=output.read_in,
+        name=name,
+        limits=(requirement.lower, requirement.upper) if requirement.limits_values else (),
+    )
+
+
+def _costs(answer: Answer) -> "Axes":
+    return rvjax.plotting.cost_against_yield(
+        *zip(*answer.cost_curve),
+        chosen=(least_yield(answer.allocation.certificate), answer.allocation.cost),
+        start=(least_yield(answer.certificate_before), answer.allocation.start_cost),
+    )

@@ -7,11 +7,11 @@ from rvjax.base import progress as phase
 from rvjax.commands.budget.budgets import (
     Budget as Budget,
     ScalarBudget,
+    budget_if_any as budget_if_any,
     curve_of,
     error_budget as error_budget,
     scalar_budget,
 )
-from rvjax.commands.budget.regression import budget_if_any as budget_if_any
 from rvjax.commands.budget.tables import report_on as report_on, report_on_scalar, section_on as section_on
 from rvjax.commands.console import READING, WRITING
 from rvjax.commands.forecast import forewarn

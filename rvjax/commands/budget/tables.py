@@ -8,7 +8,7 @@ import numpy as np
 from rvjax.base.files import versions
 from rvjax.commands.budget.budgets import Budget, ScalarBudget
 from rvjax.commands.budget.effects import LEVELS
-from rvjax.commands.sections.influence import SHARE_MEANS, UNMOVED_MEANS, influence_share, slope_text, together_text
+from rvjax.commands.cells import SHARE_MEANS, UNMOVED_MEANS, influence_share, slope_text, together_text
 from rvjax.render import (
     CSV,
     EVERYWHERE,

@@ -12,6 +12,7 @@ import rvjax
 from rvjax import study
 from rvjax.base import progress
 from rvjax.base.files import versions
+from rvjax.commands import measurement
 from rvjax.commands.compensate.corrections import Corrections, Curve, corrections, periodic
 from rvjax.commands.console import READING, WRITING
 from rvjax.commands.inputs import (
@@ -25,7 +26,6 @@ from rvjax.commands.inputs import (
     switch,
     whole_number,
 )
-from rvjax.commands.sections import measurement
 from rvjax.compensation import FORMS, Correction, Left, exported, predicted, residual, table
 from rvjax.measured import Finding, findings, foreign
 from rvjax.records import PyTree

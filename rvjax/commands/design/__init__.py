@@ -10,14 +10,13 @@ from rvjax._jax.solved_state import moving
 from rvjax.base.files import versions
 from rvjax.catalogue import steep
 from rvjax.commands.allocate import stored_result
+from rvjax.commands.cells import assumed_text, failures_text, limits_data
 from rvjax.commands.console import READING, WRITING, share_cores
-from rvjax.commands.design import sliders
 from rvjax.commands.design.optimum import JOINT, STEPS, TRADE, UNSCALED, Designed, Point, optima
-from rvjax.commands.design.prices import price_note, slope, unit_of_number
+from rvjax.commands.design.prices import block, price_note, script, slope, unit_of_number
 from rvjax.commands.design.tables import headline, laws_of, numbers, others, requirements_of, saved_part, tolerances_of
 from rvjax.commands.forecast import forewarn
 from rvjax.commands.inputs import Inputs, argument, option, quiet_option, results_option, switch
-from rvjax.commands.sections.cells import assumed_text, failures_text, limits_data
 from rvjax.population import sample
 from rvjax.render import Figure, Note, Report, Section, leading_comment, results_folder
 from rvjax.study import Study, StudyError, kind_of, number_at, outside, shown
@@ -119,7 +118,7 @@ def report(inputs: DesignInputs, found: Designed) -> Report:
             Section("Tolerances", (tolerances_of(study, found),)),
             Section("Requirements", (*requirements_of(study, found), Note(fresh))),
             Section("Prices in one currency", (price_note(study, found),)),
-            *((sliders.block(),) if joint.margins else ()),
+            *((block(),) if joint.margins else ()),
             Section("Other optima", (*others(study, found), *_named(inputs, found, "front"))),
             Section("Scaling laws", tuple(laws_of(study, found))),
             Note("\n".join(_notes(study, found))),
@@ -135,7 +134,7 @@ def report(inputs: DesignInputs, found: Designed) -> Report:
             "boxes": _boxes(study, found),
             "origin": {"command": f"rvjax design {shlex.quote(study.name)}", "seed": str(study.seed)},
             "study": study.text,
-            "script": sliders.script(study, found) if joint.margins else None,
+            "script": script(study, found) if joint.margins else None,
         },
         main="report.html",
     )

@@ -8,9 +8,9 @@ from typing import Any
 import jax.numpy as jnp
 
 from rvjax.commands.allocate import shortfall_text
+from rvjax.commands.cells import evaluated, limit_text, limits_of, share
 from rvjax.commands.design.optimum import Designed
 from rvjax.commands.design.prices import limit_price, nominal_limit, per, per_number, per_output, slope, unit_of_number
-from rvjax.commands.sections.cells import evaluated, limit_text, limits_of, share
 from rvjax.render import Column, Interval, Limits, Note, Number, Quantity, Table, Text, Titled, Zone, column
 from rvjax.study import Study, fields_of, number_at, shown, stated_by
 from rvjax.units import readable, with_unit

@@ -8,9 +8,8 @@ import numpy as np
 
 from rvjax import identify, study
 from rvjax.base.files import versions
+from rvjax.commands import measurement
 from rvjax.commands.console import READING, WRITING
-from rvjax.commands.identify.figures import figures
-from rvjax.commands.identify.head import head_of
 from rvjax.commands.identify.identified import (
     FITTING,
     RANKING,
@@ -19,12 +18,13 @@ from rvjax.commands.identify.identified import (
     answer as answer,
     check as check,
 )
-from rvjax.commands.identify.tables import content, orders_of_parts
+from rvjax.commands.identify.tables import content, figures, orders_of_parts
 from rvjax.commands.identify.words import (
     Combination,
     combinations as combinations,
     elements as elements,
     field_of,
+    head_of,
     headline as headline,
     in_words as in_words,
     next_lines as next_lines,
@@ -32,7 +32,6 @@ from rvjax.commands.identify.words import (
     verdict_line as verdict_line,
 )
 from rvjax.commands.inputs import Inputs, argument, encoding_option, quiet_option, results_option, switch
-from rvjax.commands.sections import measurement
 from rvjax.render import Report, leading_comment, results_folder
 from rvjax.study import field_unit, identification_of, read_measured
 from rvjax.units import arcsec

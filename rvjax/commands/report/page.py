@@ -19,11 +19,10 @@ from rvjax.commands.allocate import (
     unlimited_tables,
     unlimited_texts,
 )
+from rvjax.commands.cells import condition_text, influence_tables, share
 from rvjax.commands.forecast import shown_values
 from rvjax.commands.report import response_surface, sliders
 from rvjax.commands.report.worst_units import SHARE_SHOWN, rows_of, worst_units
-from rvjax.commands.sections.cells import condition_text, share
-from rvjax.commands.sections.influence import influence_tables
 from rvjax.records import PyTree
 from rvjax.render import (
     Block,

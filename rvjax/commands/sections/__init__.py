@@ -1,1 +1,0 @@
-"""Tables, texts and plots that several commands share."""
