@@ -6,7 +6,7 @@ import pytest
 from rvjax.response import devices
 from rvjax.tolerances import Requirement, allocate
 from rvjax.tolerances.allocation import sample
-from rvjax.tolerances.batch.memo import Memo
+from rvjax.tolerances.batch.checkpoint import Memo
 from tests.oracles.linear_pair import COSTS, LIMIT, PAIR, linear
 
 NEED = Requirement(lower=-LIMIT, upper=LIMIT, target=0.99)

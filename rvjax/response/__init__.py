@@ -9,10 +9,10 @@ from rvjax.response.gradients import (
     elements as elements,
     elements_and_rates as elements_and_rates,
     gradients as gradients,
-    nominal_status as nominal_status,
 )
 from rvjax.response.parts import (
     Part as Part,
+    Whole as Whole,
     evaluator as evaluator,
     parts as parts,
     status_without_errors as status_without_errors,

@@ -7,17 +7,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.sizes import PULLED, calls
+from rvjax._jax.sizes import AT_ONCE, PULLED, calls
 from rvjax.population import Population
 from rvjax.response.devices import Evaluator
-from rvjax.response.gradients import elements, gradients
-from rvjax.response.response import Response, Values, is_costly, response_names
+from rvjax.response.gradients import elements, gradients, nominal_status
+from rvjax.response.response import BLOCK, Response, Values, is_costly, respond, response_names
 from rvjax.response.solving import Errors, Solution, pulls, solution, solve, without_errors
 from rvjax.status import Status, succeeded, worst
 
 
 class Part:
-    """Some outputs of a response, as a separate response."""
+    """Some outputs of a costly response, as a separate response."""
+
+    at_once = AT_ONCE
+    """Units of a call that differ in one error."""
 
     def __init__(self, response: Response, population: Population) -> None:
         self.response, self.names = response, response_names(response, population)
@@ -89,13 +92,42 @@ class Part:
         return solution(self.response, population, count, errors)
 
 
+class Whole(Part):
+    """A response that is not costly: gradients of its units need nothing but their errors."""
+
+    def __init__(self, response: Response, population: Population, chunk: int) -> None:
+        super().__init__(response, population)
+        self.at_once = chunk
+
+    def solution(self, population: Population, z: np.ndarray) -> Solution:
+        """Values (k, n) and status (n,); the state has no rows."""
+        found = []
+        for lanes in calls(z.shape[1], self.at_once):
+            own, codes = respond(self.response, population, z[:, lanes])
+            found.append((np.stack([np.asarray(own[name], float) for name in self.names]), np.asarray(codes)))
+        values, status = (np.concatenate(rows, axis=-1)[..., : z.shape[1]] for rows in zip(*found))
+        return values, status, np.zeros((0, z.shape[1]))
+
+    def nominal_status(self, population: Population) -> int:
+        """Status of the unit without errors, by the program of the gradients."""
+        return nominal_status(self.response, population)
+
+
 def _drawn(population: Population, z: np.ndarray) -> Errors:
     return lambda lanes: elements(population, z[:, lanes])
 
 
-def parts(response: Response, population: Population) -> list[Part]:
-    """A `costly` response in the `parts` that it names; another is a whole."""
-    split = getattr(response, "parts", None) if is_costly(response) else None
+def parts(response: Response, population: Population, chunk: int = BLOCK) -> list[Part]:
+    """A `costly` response in the `parts` that it names; another is a whole.
+
+    Args:
+        response: of one unit.
+        population: of the units.
+        chunk: units of one call of a whole.
+    """
+    if not is_costly(response):
+        return [Whole(response, population, chunk)]
+    split = getattr(response, "parts", None)
     own: Sequence[Response] = [response] if split is None else split()
     return [Part(part, population) for part in own]
 

@@ -24,7 +24,7 @@ from rvjax.tolerances.allocation.problem import FEWEST as FEWEST, KEPT as KEPT, 
 from rvjax.tolerances.allocation.result import Allocation
 from rvjax.tolerances.allocation.variable import Middle, Variable, check_middles as check_middles
 from rvjax.tolerances.allocation.whole_sample import Nominal
-from rvjax.tolerances.batch.memo import Memo as Memo
+from rvjax.tolerances.batch.checkpoint import Memo as Memo
 from rvjax.tolerances.batch.monte_carlo import monte_carlo
 from rvjax.tolerances.batch.run import Run as Run
 from rvjax.tolerances.batch.shares import Folder as Folder, Processes as Processes, take as take

@@ -16,10 +16,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rvjax._jax.sizes import AT_ONCE, PULLED, calls
+from rvjax._jax.sizes import PULLED, calls
 from rvjax.population import Estimate, Population, deviate_of, one_decides, root_key, skewed, unknown_share
 from rvjax.records import PyTree
-from rvjax.response import BLOCK, Part, Response, elements, is_costly, numbers_of, parts, respond
+from rvjax.response import BLOCK, Part, Response, Whole, elements, is_costly, numbers_of, parts
 from rvjax.status import succeeded
 from rvjax.tolerances.moments import Spread
 
@@ -83,16 +83,17 @@ def influences(
         advance: is given the number of units with one error sampled again that were solved.
     """
     population, found = Population.of(tolerances), dict[str, Influence]()
-    spread, in_parts = Spread(population), is_costly(response)
-    for part in parts(response, population):
+    spread = Spread(population)
+    for part in parts(response, population, chunk):
         wanted = [name for name in part.names if names is None or name in names]
         if not wanted:
             continue
-        count = units or (COSTLY_UNITS if is_costly(part.response) else CHEAP_UNITS if in_parts else chunk)
+        usual = COSTLY_UNITS if is_costly(part.response) else CHEAP_UNITS
+        count = units or (chunk if isinstance(part, Whole) else usual)
         z = numbers_of(population, root_key(seed), np.arange(2 * count))
         one, other = z[:, :count], z[:, count:]
         about, new = (_errors(population, each) - spread.mean[:, None] for each in (one, other))
-        solver = _Solver(part, population, None if in_parts else chunk)
+        solver = _Solver(part, population)
         values, good, state = solver.solution(one)
         rows = [part.names.index(name) for name in wanted]
         slopes = [solver.slopes(one, good, state, name) for name in wanted]
@@ -119,20 +120,10 @@ class _Solver(NamedTuple):
 
     part: Part
     population: Population
-    chunk: int | None  # units of one call; None: of a costly response
 
     def solution(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Values (k, n), nan where a unit failed; which units have them (n,); and what their gradients need."""
-        count = z.shape[1]
-        if self.chunk is None:
-            values, status, state = self.part.solution(self.population, z)
-        else:
-            found = []
-            for lanes in calls(count, self.chunk):
-                own, codes = respond(self.part.response, self.population, z[:, lanes])
-                found.append((np.stack([np.asarray(own[name], float) for name in self.part.names]), np.asarray(codes)))
-            values, status = (np.concatenate(rows, axis=-1)[..., :count] for rows in zip(*found))
-            state = np.zeros((0, count))
+        values, status, state = self.part.solution(self.population, z)
         good = np.asarray(succeeded(status)) & np.isfinite(values).all(axis=0)
         return np.where(good, values, np.nan), good, state
 
@@ -146,7 +137,7 @@ class _Solver(NamedTuple):
 
     def changed(self, one: np.ndarray, other: np.ndarray, advance: Callable[[int], None]) -> np.ndarray:
         """Values (fields, k, n) of the units `one` with one field of the others (numbers, n)."""
-        units, size, found = one.shape[1], self.chunk or AT_ONCE, []
+        units, size, found = one.shape[1], self.part.at_once, []
         for first in range(0, units, size):
             own, new = one[:, first : first + size], other[:, first : first + size]
             z = np.concatenate([mixed for _, mixed in self.population.exchanged(own, new)], axis=1)

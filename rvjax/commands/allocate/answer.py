@@ -15,7 +15,6 @@ from rvjax.records import PyTree
 from rvjax.response import (  # chunks of the certificate's size: the response compiles once
     BLOCK,
     Response,
-    nominal_status,
     numbers_of,
     parts,
     response_names,
@@ -111,8 +110,7 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None, me
     response = study.response()
     begin(SEARCHING)
     with progress_bar(progress, None, "checked", "unit") as advance:  # compiles the gradients: the longest wait
-        status_of = status_without_errors if response.costly else nominal_status
-        refuse(status_of(response, Population.of(study.tolerances)))
+        refuse(status_without_errors(response, Population.of(study.tolerances)))
         advance(1)
     population, aims = Population.of(study.tolerances), [] if study.losses else targets(study)
     allocation = allocate(

@@ -23,7 +23,7 @@ from rvjax.tolerances.allocation.result import Allocation, ranges
 from rvjax.tolerances.allocation.search import Search
 from rvjax.tolerances.allocation.shortage import least_shortage, refused
 from rvjax.tolerances.allocation.variable import Middle, Variable
-from rvjax.tolerances.batch.memo import Memo
+from rvjax.tolerances.batch.checkpoint import Memo
 from rvjax.tolerances.batch.statistics import Statistics
 from rvjax.tolerances.limits import Limits
 

@@ -16,7 +16,7 @@ from rvjax.response import BLOCK, Response, by_response, is_costly, response_nam
 from rvjax.tolerances.allocation.cost import COSTS, Cost, QuadraticLoss
 from rvjax.tolerances.allocation.decisions import ROUNDING, Decisions
 from rvjax.tolerances.allocation.variable import Middle, Variable, check_middles, with_values
-from rvjax.tolerances.batch.memo import Memo
+from rvjax.tolerances.batch.checkpoint import Memo
 from rvjax.tolerances.batch.run import Run
 from rvjax.tolerances.limits import Limits
 

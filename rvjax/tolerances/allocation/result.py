@@ -9,7 +9,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import special
@@ -243,9 +243,24 @@ WITHIN = 0.005
 """Part of the cost that a number off its best value may add."""
 
 _OFF = 0.05  # part of its range by which a number is first held off
-_TRIALS = 4, 2  # searches for one end of a range of quick and of costly units, at most
 _CLOSE = 0.15  # of the added cost, by which the end of a range may miss it
-_LOOKS = 4  # vectors of one search on costly units, at most
+
+
+class _Effort(NamedTuple):
+    """What the ends of ranges may take.
+
+    Attributes:
+        trials: searches for one end, at most.
+        looks: vectors of one search, at most.
+        gain: promised gain, as a part of the cost, below which a search ends.
+    """
+
+    trials: int
+    looks: int
+    gain: float
+
+
+_QUICK, _COSTLY = _Effort(4, LOOKS, max(GAIN)), _Effort(2, 4, COARSE)  # of quick units, and of costly ones
 
 
 def ranges(constraints: Constraints, programme: Programme, end: End) -> dict[str, tuple[float, float]]:
@@ -256,17 +271,18 @@ def ranges(constraints: Constraints, programme: Programme, end: End) -> dict[str
         programme: of the search.
         end: of the search.
     """
-    decisions, costly = constraints.decisions, constraints.problem.costly
-    if costly:
+    decisions, effort = constraints.decisions, _QUICK
+    if constraints.problem.costly:
         constraints.sample(FEW)
-    low, high, looks = programme.low, programme.high, _LOOKS if costly else LOOKS
+        effort = _COSTLY
+    low, high = programme.low, programme.high
 
     def solved(start: End, k: int | None = None, at: float = 0.0) -> End:
         x = start.look.x.copy()
         if k is not None:
             programme.low, programme.high = low.copy(), high.copy()
             programme.low[k] = programme.high[k] = x[k] = at
-        found = programme.run(x, AGAIN, most=looks, gain=COARSE if costly else max(GAIN))
+        found = programme.run(x, AGAIN, most=effort.looks, gain=effort.gain)
         programme.low, programme.high = low, high
         return found
 
@@ -278,7 +294,7 @@ def ranges(constraints: Constraints, programme: Programme, end: End) -> dict[str
         item, at, ends = decisions.variables[name], float(best.look.x[k]), list[float]()
         for sign, limit, slope in ((-1.0, low[k], best.at_high[k]), (1.0, high[k], best.at_low[k])):
             held = functools.partial(solved, best, k)
-            way = _way(held, best, at, sign, abs(float(limit) - at), float(slope), _TRIALS[costly])
+            way = _way(held, best, at, sign, abs(float(limit) - at), float(slope), effort.trials)
             there = min(max(at + sign * way, 0.0), 1.0)
             ends.append(item.lower + there * (item.upper - item.lower))
         found[name] = min(ends), max(ends)

@@ -13,8 +13,7 @@ from rvjax.population import Population
 from rvjax.response import BLOCK, Part, Response, elements, elements_and_rates, gradients, is_costly, parts, respond
 from rvjax.status import succeeded
 from rvjax.tolerances.allocation.decisions import KEPT, Decisions
-from rvjax.tolerances.batch.checkpoint import describe
-from rvjax.tolerances.batch.memo import Memo
+from rvjax.tolerances.batch.checkpoint import Memo, describe
 
 Values = dict[str, np.ndarray]
 """Numbers (n,) of units, by name of the response."""

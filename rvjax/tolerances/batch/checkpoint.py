@@ -1,8 +1,13 @@
-"""Checkpoints of a Monte Carlo study, and the fingerprint that distinguishes two studies."""
+"""Files from which an interrupted computation goes on: checkpoints of Monte Carlo studies, the memo of an allocation.
 
+A fingerprint distinguishes two studies. An allocation that resumes from its memo has bit-identical results.
+"""
+
+import contextlib
 import glob
 import hashlib
 import json
+import shutil
 import time
 import warnings
 from collections.abc import Callable, Mapping
@@ -17,7 +22,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr
 from rvjax.base.files import DAMAGE, PARTIAL, Arrays, digest, pack, unpack, write_atomically
 from rvjax.population import Population
 from rvjax.records import Record
-from rvjax.response import Response, respond
+from rvjax.response import Response, Values, respond
 from rvjax.tolerances.requirements import Limits
 
 _SHARE = 10  # times as long computing as writing
@@ -160,3 +165,59 @@ def of_number(whole: str | Path, process: int, processes: int) -> Path:
     """Return the file of one of several processes; that of the first is the whole."""
     whole = Path(whole)
     return whole.with_name(f"{whole.name}.{process}-of-{processes}") if process else whole
+
+
+_DIGITS = 32
+
+
+class Memo:
+    """Arrays in a folder. An allocation is deterministic: a second run requires the same arrays and reads them here."""
+
+    def __init__(self, folder: str | Path, fingerprint: Mapping[str, str], *, worth: float = 0.1) -> None:
+        """Name the folder; the first array makes it.
+
+        Args:
+            folder: that holds nothing else.
+            fingerprint: all that a response depends on: the study, its files, the versions of rvjax, JAX and SciPy.
+            worth: computing time below which an array is not stored, s.
+        """
+        self.folder, self._worth = Path(folder), worth
+        self._about = repr(sorted(fingerprint.items()))
+
+    def apart(self, what: str) -> "Memo":
+        """Memo in the same folder for another response of the same study.
+
+        Args:
+            what: in which it differs.
+        """
+        return Memo(self.folder, {"of": self._about, "apart": what}, worth=self._worth)
+
+    def recall(self, inputs: Mapping[str, str], compute: Callable[[], np.ndarray]) -> np.ndarray:
+        """Return the stored array, or compute and store it."""
+        name = hashlib.sha256((self._about + repr(sorted(inputs.items()))).encode()).hexdigest()[:_DIGITS]
+        path = self.folder / f"{name}.npz"
+        with contextlib.suppress(*DAMAGE, OSError):  # absent or damaged: computed and written
+            return unpack(path.read_bytes())["found"]
+        start = time.monotonic()
+        found = np.asarray(compute())
+        if time.monotonic() - start >= self._worth:
+            with contextlib.suppress(OSError):  # a full disk costs the next run time, not this one its result
+                self.folder.mkdir(parents=True, exist_ok=True)
+                write_atomically(path, pack({"found": found}))
+        return found
+
+    def units(
+        self, names: tuple[str, ...], inputs: Mapping[str, str], compute: Callable[[], tuple[Values, jax.Array]]
+    ) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Return values by name and status of a block of units, stored or computed."""
+
+        def rows() -> np.ndarray:
+            values, status = compute()
+            return np.stack([*(np.asarray(values[name]) for name in names), np.asarray(status)])
+
+        *values, status = self.recall(inputs, rows)
+        return dict(zip(names, values)), status.astype(np.int32)
+
+    def clear(self) -> None:
+        """Remove the folder."""
+        shutil.rmtree(self.folder, ignore_errors=True)

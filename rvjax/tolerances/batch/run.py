@@ -19,13 +19,13 @@ from rvjax.tolerances.batch.accumulator import Accumulator
 from rvjax.tolerances.batch.checkpoint import (
     LARGEST,
     Checkpoint,
+    Memo,
     describe,
     differences,
     of_number,
     parts_of,
     response_hash,
 )
-from rvjax.tolerances.batch.memo import Memo
 from rvjax.tolerances.batch.shares import Alone, Chunks, Processes, in_order, take
 from rvjax.tolerances.batch.statistics import Statistics, statistics_of
 from rvjax.tolerances.batch.unit_file import UnitFile, Write, joined, writing
