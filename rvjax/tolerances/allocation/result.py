@@ -247,7 +247,7 @@ _CLOSE = 0.15  # of the added cost, by which the end of a range may miss it
 
 
 class _Effort(NamedTuple):
-    """What the ends of ranges may take.
+    """Limits of the searches for the ends of a range.
 
     Attributes:
         trials: searches for one end, at most.
