@@ -65,13 +65,14 @@ def test_histogram_of_a_heavy_tail_shows_its_body():
     assert "units are beyond the axis" in axes.get_xlabel()
 
 
-def test_every_batch_of_a_histogram_has_an_area_of_one():
+def test_a_histogram_misses_the_failed_units_and_says_how_many():
     values = np.append(np.linspace(0, 1, 80), np.full(20, np.nan)) * um
     axes = plotting.histogram({"all_good": values[:80], "some": values}, unit="m", name="misfit", limits=[um])
     assert sum(bar.get_height() * bar.get_width() for bar in axes.patches[:80]) == pytest.approx(1)
     outline = axes.patches[80].get_xy()
-    assert np.trapezoid(outline[:-1:2, 1], outline[:-1:2, 0]) == pytest.approx(1, abs=0.02)
-    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["all good", "some", "limit 1 um"]
+    assert np.trapezoid(outline[:-1:2, 1], outline[:-1:2, 0]) == pytest.approx(0.8, abs=0.02)
+    names = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert names == ["all good", "some, 20 of 100 units failed", "limit 1 um"]
 
 
 def test_lines_are_named_and_a_gap_stays_a_gap():

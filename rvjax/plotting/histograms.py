@@ -25,7 +25,7 @@ def histogram(
     """Distribution of a response in several batches of units, with its limits; the first is filled.
 
     Args:
-        batches: {batch: values, SI (units,)}; failed units, NaN, are left out.
+        batches: {batch: values, SI (units,)}; failed units, NaN, and infinite values are missing from its area.
         unit: SI unit of the response.
         name: of the response.
         limits: SI; infinite ones have no line.
@@ -34,13 +34,13 @@ def histogram(
     """
     axes = new_axes(axes)
     shown, size = readable(unit, read_in)
-    whole = {label: np.asarray(v)[~np.isnan(v)] / size for label, v in batches.items()}
+    whole = {label: np.asarray(v) / size for label, v in batches.items()}
     bins = readable_bins(axes, np.concatenate([v[np.isfinite(v)] for v in whole.values()]), 80, shown)
     for k, (label, values) in enumerate(whole.items()):
-        finite = values[np.isfinite(values)]
+        finite, text = values[np.isfinite(values)], words(label)
+        for count, what in ((np.isinf(values).sum(), "infinite"), (np.isnan(values).sum(), "failed")):
+            text += f", {count:,} of {len(values):,} units {what}" if count else ""
         if finite.size:  # every unit may have failed
-            endless = len(values) - len(finite)
-            text = f"{words(label)}, {endless:,} of {len(values):,} units infinite" if endless else words(label)
             weights = np.full(len(finite), 1 / (len(values) * bins.step))
             outline: Any = dict(zip(("color", "ls", "lw"), _OUTLINES[(k - 1) % 3]), histtype="step")
             drawn: Any = outline if k else {"color": AFTER, "alpha": 0.75}

@@ -147,7 +147,7 @@ class Certifier:
             look: at the end of the search.
             seen: the certificate of this end.
             reached: wanted rejects (c,) with which the sample would just meet each limit there.
-            misses: certificates that failed; each aims one unit farther inside.
+            misses: certificates that failed one after the other; each aims one unit farther inside.
         """
         rejects, moved, n = constraints.rejects.copy(), constraints.moved.copy(), self.run.samples
         deviate, smooth = deviate_of(self.run.confidence), None

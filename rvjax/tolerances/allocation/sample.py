@@ -129,14 +129,12 @@ class Units:
             return gradients(part.response, population, errors, weights, part.names)[1]
         known = [(place, state) for own, there, place, state in self._states if own is part and there is population]
         keys = [column.tobytes() for column in z.T]
-        states = [next((state[:, place[key]] for place, state in known if key in place), None) for key in keys]
-        missing = [k for k, state in enumerate(states) if state is None]
+        found = {key: state[:, place[key]] for key in keys for place, state in known if key in place}
+        missing = {key: k for k, key in enumerate(keys) if key not in found}
         if missing:
             self.solved += len(missing)
-            for k, state in zip(missing, part.of_elements(population, errors[:, missing])[2].T):
-                states[k] = state
-        found = np.stack([state for state in states if state is not None], axis=1)
-        return part.slopes_of_elements(population, errors, found, weights)
+            found |= zip(missing, part.of_elements(population, errors[:, list(missing.values())])[2].T)
+        return part.slopes_of_elements(population, errors, np.stack([found[key] for key in keys], axis=1), weights)
 
     def slope(self, x: np.ndarray, z: np.ndarray, pulled: Values) -> np.ndarray:
         """Derivative (n,) of the sum over units of responses with weights (m,), to the vector of decisions."""
