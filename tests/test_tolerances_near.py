@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from test_tolerances_constraints import X, constraints
 
+from rvjax._jax.sizes import AT_ONCE
 from rvjax.response import Outcome, Part
 from rvjax.status import Status
 from rvjax.tolerances import Requirement
+from rvjax.tolerances.allocation.sample import Units
 
 UNITS = 4096
 ONE = Requirement(lower=-0.29, upper=0.45, target=0.99)  # its used way is about 1 at X
@@ -81,6 +83,29 @@ def test_many_small_steps_never_lose_a_unit():
         assert made.look(x, sloped=False).used == pytest.approx(of_all(oracle, x).used, rel=1e-12)
 
 
+def test_many_small_steps_of_a_mid_point_bring_units_from_the_other_side():
+    """They come nearer a little at each step."""
+    made, oracle = (constraints({"y": ONE}, costly=True, samples=UNITS) for _ in range(2))
+    made.look(X)
+    for moved in np.arange(0.1, 3.0, 0.1):
+        x = X + np.array([0, 0, 0, moved, 0, 0])
+        assert made.look(x, sloped=False).used == pytest.approx(of_all(oracle, x).used, rel=1e-12)
+
+
+def test_calls_of_near_units_are_full(monkeypatch):
+    sizes, of_part = [], Units.of_part
+
+    def counted(self, part, population, z):
+        sizes.append(z.shape[1])
+        return of_part(self, part, population, z)
+
+    monkeypatch.setattr(Units, "of_part", counted)
+    made = constraints({"y": ONE}, costly=True, samples=UNITS)
+    for step in (0.0, 1e-4, 0.03):
+        made.look(X + step * WAY, sloped=False)
+    assert sizes[0] == UNITS and len(sizes) >= 3 and not any(size % AT_ONCE for size in sizes)
+
+
 @pytest.mark.parametrize("shift", [0.0, 0.25])
 def test_a_unit_that_fails_in_one_part_fails_in_all(shift):
     """The number d moves the error above which b fails; y is another part, which has no failures of its own."""
@@ -107,23 +132,30 @@ def test_a_unit_that_fails_in_one_part_fails_in_all(shift):
 
 
 def test_a_slope_takes_the_state_of_its_own_unit(monkeypatch):
-    """The state of a unit is its first random number here, in proportion to its error a."""
-    seen, solve, pull = [], Part.solve, Part.slopes_of_elements
+    """The state of a unit is its error a here. Units of a limit that does not decide are solved for their slopes."""
+    seen, missing = [], []
+    solve, pull, of_elements = Part.solve, Part.slopes_of_elements, Part.of_elements
 
     def solved(self, population, z):
         values, status, _ = solve(self, population, z)
-        return values, status, z[:1]
+        return values, status, 0.1 * z[:1]  # a third of the half-width 0.3
+
+    def found(self, population, errors):
+        missing.append(errors.shape[1])
+        values, status, _ = of_elements(self, population, errors)
+        return values, status, errors[:1]
 
     def pulled(self, population, errors, state, cotangents):
         seen.append((errors[0], state[0]))
-        return pull(self, population, errors, self.of_elements(population, errors)[2], cotangents)
+        return pull(self, population, errors, of_elements(self, population, errors)[2], cotangents)
 
     monkeypatch.setattr(Part, "solve", solved)
+    monkeypatch.setattr(Part, "of_elements", found)
     monkeypatch.setattr(Part, "slopes_of_elements", pulled)
-    made = constraints({"y": ONE}, costly=True, samples=UNITS)
+    made = constraints({"y": ONE, "b": Requirement(upper=2.0, target=0.99)}, costly=True, samples=UNITS)
     made.look(X)
-    made.look(X + 0.01 * WAY)
-    for k, (errors, state) in enumerate(seen):
-        width = 0.3 * np.exp(0.01 * k * WAY[0])
-        np.testing.assert_allclose(errors, width / 3 * state, rtol=1e-9)
-    assert len(seen) == 2
+    assert not missing
+    made.look(X + 0.01 * WAY * np.array([0, 1, 1, 1, 1, 1]))
+    for errors, state in seen:
+        np.testing.assert_allclose(errors, state, rtol=1e-9)
+    assert len(seen) == 2 and len(missing) == 1 and 0 < missing[0] < len(seen[1][0])

@@ -62,7 +62,7 @@ def test_the_end_is_the_known_optimum(name, costly):
     assert found.evaluations["certificates"] >= found.certificate.samples
 
 
-@pytest.mark.parametrize("name", ["mean of a number", "rare pair", "flank and diameter"])
+@pytest.mark.parametrize("name", ["mean of a number", "rare pair", "flank and diameter", "joint target"])
 def test_a_small_problem_of_the_benchmark(name):
     """Within 1 %, and its prices by differences; those with a number or a mid-point inside are like the rows above."""
     due = PROBLEMS[name].make()

@@ -107,6 +107,19 @@ def test_between_a_certificate_that_holds_and_one_that_misses_all_limits_move_ha
     assert np.array(shares[:4]) / shares[0] == pytest.approx([1, 1.5, 1.5**0.5, 1.5**0.25])
 
 
+def test_a_certificate_that_holds_after_one_that_missed_stays_below_it(monkeypatch):
+    """Half of the first rejects hold. Three times these are half way to those that missed."""
+    shares = recorded(monkeypatch)
+    monkeypatch.setattr(Certifier, "holds", lambda self, statistics: shares[-1] <= 0.6 * shares[0])
+
+    def corrected(self, constraints, *_):
+        return (0.5 if len(shares) == 1 else 3.0) * constraints.rejects, constraints.moved
+
+    monkeypatch.setattr(Certifier, "corrected", corrected)
+    solved()
+    assert np.array(shares[:3]) / shares[0] == pytest.approx([1, 0.5, 0.5**0.5])
+
+
 def test_each_certificate_that_misses_aims_one_unit_farther_inside(monkeypatch):
     """Else limits that fail in turn, by a unit each, would use up all certificates."""
     shares = recorded(monkeypatch)
