@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rvjax import catalogue, measured
-from rvjax.base.numbers import svd
+from rvjax.base.text import svd
 from rvjax.measured import findings, judge
 from rvjax.measured.sampling import legs, places, repetition
 from rvjax.units import arcsec, deg

@@ -6,7 +6,7 @@ from typing import Any
 
 from rvjax import levels
 from rvjax.base.progress import spelled
-from rvjax.commands.console import say
+from rvjax.commands import say
 from rvjax.levels import Choice
 from rvjax.response import BLOCK
 from rvjax.study import Study

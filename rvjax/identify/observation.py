@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.checks import checked
-from rvjax.base.numbers import svd
+from rvjax.base.text import svd
 from rvjax.records import Array, PyTree
 
 

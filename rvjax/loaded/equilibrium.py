@@ -19,8 +19,7 @@ from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer
 from rvjax.errors import Errors, RVErrors
 from rvjax.loaded.balance import compliance, forces
-from rvjax.loaded.case import Case, at_output, output_rotation, pressures, solve
-from rvjax.loaded.inputs import Read
+from rvjax.loaded.case import Case, Read, at_output, output_rotation, pressures, solve
 from rvjax.loaded.kinds import admit, check_input, named_forces, prepare
 from rvjax.loaded.newton import Minimum
 from rvjax.loaded.system import Layout

@@ -10,8 +10,7 @@ from rvjax.designs import RVReducer, expect
 from rvjax.errors import Errors
 from rvjax.loaded import cycloidal, laws, rv
 from rvjax.loaded.balance import Forces
-from rvjax.loaded.case import Case, NamedForces
-from rvjax.loaded.inputs import SUPPORTS, Read, check_shapes, check_teeth
+from rvjax.loaded.case import SUPPORTS, Case, NamedForces, Read, check_shapes, check_teeth
 from rvjax.loaded.system import Layout
 from rvjax.records import Design, PyTree, Scalar
 from rvjax.status import SolveInfo

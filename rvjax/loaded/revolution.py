@@ -18,8 +18,7 @@ from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import Errors, RVErrors
 from rvjax.loaded.balance import forces
-from rvjax.loaded.case import at_output, output_rotation, pressures, solve
-from rvjax.loaded.inputs import Read, check_teeth
+from rvjax.loaded.case import Read, at_output, check_teeth, output_rotation, pressures, solve
 from rvjax.loaded.kinds import KINDS, admit, check_input, check_kind, kind_of, named_forces, prepare
 from rvjax.loaded.newton import Minimum
 from rvjax.loaded.system import Layout

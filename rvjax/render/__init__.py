@@ -7,6 +7,9 @@ from rvjax.render.content import (
     Figure as Figure,
     Note as Note,
     Section as Section,
+    Table as Table,
+    aligned as aligned,
+    as_csv as as_csv,
     saved as saved,
 )
 from rvjax.render.quantity import (
@@ -38,9 +41,4 @@ from rvjax.render.report import (
     plain as plain,
     results_folder as results_folder,
     write_files as write_files,
-)
-from rvjax.render.table import (
-    Table as Table,
-    aligned as aligned,
-    as_csv as as_csv,
 )

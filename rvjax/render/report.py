@@ -19,9 +19,8 @@ import numpy as np
 from rvjax.base.files import check_writable, naming
 from rvjax.base.words import wrapped
 from rvjax.records import PyTree
-from rvjax.render.content import Block, Content, Figure, Note, Section
+from rvjax.render.content import Block, Content, Figure, Note, Section, Table
 from rvjax.render.quantity import CSV, TEXT
-from rvjax.render.table import Table
 
 PAGE_FILE = "report.html"
 

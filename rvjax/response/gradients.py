@@ -1,18 +1,171 @@
-"""Gradients of a response to the errors of single units, by one program."""
+"""Gradients of a response to the errors of single units, by one program.
 
+A costly response has two: one solves units, one takes what that has found and gives gradients without solving. What an
+iteration finds is marked by `roots.solved`. It is all of a unit that the second program needs besides its errors, and
+so the iteration is compiled once.
+"""
+
+import functools
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from math import prod
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.sizes import PULLED, calls
+from rvjax._jax.sizes import PULLED, SLOPED, SOLVED, calls
+from rvjax._jax.solved_state import Marked
 from rvjax.population import Population
-from rvjax.response.devices import mesh_of, on
-from rvjax.response.response import NUMBERS, UNITS, Response, evaluate, is_costly, per_response, response_names
-from rvjax.response.solving import pulls, sloped_together, solution
+from rvjax.records import Record
+from rvjax.response.devices import mesh_of, on, units_devices
+from rvjax.response.response import NUMBERS, UNITS, Response, Values, evaluate, is_costly, per_response, response_names
+
+Errors = Callable[[np.ndarray], jax.Array]  # of the indices of some units
+Solution = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+class Units(NamedTuple):
+    """Some solved units; `state` (numbers, n) is what their gradients need."""
+
+    values: Values
+    status: jax.Array
+    state: jax.Array
+
+
+def solve(response: Response, population: Population, count: int, errors: Errors) -> list[Units]:
+    """Solve some units, `SOLVED` in a call.
+
+    Args:
+        response: of one unit.
+        population: gives the elements of each field; its tolerances have no effect.
+        count: of the units.
+        errors: (elements, n) of the active fields, of n of the units.
+
+    Returns:
+        Units of each call, as NumPy arrays.
+    """
+    size = _solved_together()
+    mesh, running = mesh_of(size), []
+    place = np.arange(size).reshape(1 if mesh is None else mesh.size, -1)  # of each unit, one device after another
+    unit = np.argsort(place.T.ravel())
+    for first in range(0, count, size):
+        rows = on(mesh, jnp.where(first + unit < count, errors(np.minimum(first + unit, count - 1)), jnp.nan))
+        running.append(Units(*_solved(response, population, rows, mesh=mesh)))
+    order = place.T.ravel()
+    return [
+        jax.tree.map(lambda x, n=count - number * size: np.asarray(x)[..., order[:n]], found)
+        for number, found in enumerate(running)
+    ]
+
+
+def solution(response: Response, population: Population, count: int, errors: Errors) -> Solution:
+    """Values (k, n) by `response_names`, status (n,) and state (numbers, n) of some units, as in `solve`."""
+    found, names = solve(response, population, count, errors), response_names(response, population)
+    values = [np.stack([np.asarray(each.values[name], float) for name in names]) for each in found]
+    rows = values, [each.status for each in found], [each.state for each in found]
+    return tuple(np.concatenate(parts, axis=-1) for parts in rows)  # type: ignore[return-value]
+
+
+def pulls(
+    response: Response, population: Population, errors: np.ndarray, state: np.ndarray, cotangents: np.ndarray
+) -> np.ndarray:
+    """Gradients (elements, n) of sum_k cotangent_k y_k of solved units, which are not solved again.
+
+    Gradients to the numbers of the design, one row each in the order of their names, follow those to the elements.
+
+    Args:
+        response: as in `solve`.
+        population: as in `solve`.
+        errors: (elements, n).
+        state: (numbers, n) of these units, by `solution`.
+        cotangents: (k, n), values by `response_names`.
+    """
+    size, dtype, found = sloped_together(), jnp.result_type(float), []
+    mesh = mesh_of(size)
+    for lanes in calls(errors.shape[1], size):
+        given: Any = [np.asarray(each[:, lanes], dtype) for each in (errors, state, cotangents)]
+        rows = [on(mesh, each) for each in given]
+        found.append(_pulled(response, population, *rows, mesh=mesh))
+    return np.concatenate([np.asarray(row, float) for row in found], axis=1)[:, : errors.shape[1]]
+
+
+def _solved_together() -> int:
+    """Units of a call that solves them, on their devices."""
+    return SOLVED.on(units_devices()[0].platform)
+
+
+def sloped_together() -> int:
+    """Units of a call for gradients, on their devices."""
+    return SLOPED.on(units_devices()[0].platform)
+
+
+def without_errors(population: Population, count: int) -> jax.Array:
+    """Errors (elements, count) of units without errors."""
+    return jnp.zeros((sum(prod(t.shape) for t in population.active.values()), count), jnp.result_type(float))
+
+
+def _unit(
+    response: Response, population: Population, vector: jax.Array, free: dict[str, jax.Array]
+) -> tuple[Values, jax.Array]:
+    there = population.replace(values=free) if free else population
+    return evaluate(response, there.fill(there.by_field(vector)))
+
+
+_unit_of_record = jax.jit(_unit)  # the program of the slopes need not trace it again
+
+
+class _Traced(NamedTuple):
+    """One unit, traced, and its first arguments."""
+
+    marked: Marked
+    first: tuple[Record, ...]
+
+    @classmethod
+    def of(cls, response: Response, population: Population, errors: jax.Array, free: dict[str, jax.Array]) -> "_Traced":
+        """The unit of these responses; a plain function is no argument."""
+        plain = not isinstance(response, Record)
+        function: Any = functools.partial(_unit, response) if plain else _unit_of_record
+        first: Any = (population,) if plain else (response, population)
+        return cls(Marked.of(function, *first, jax.ShapeDtypeStruct(errors.shape[:1], errors.dtype), free), first)
+
+
+@per_response(shared=(UNITS, UNITS, NUMBERS))
+def _solved(response: Response, population: Population, errors: jax.Array) -> tuple[Values, jax.Array, jax.Array]:
+    free = _free(population, errors)
+    unit, first = _Traced.of(response, population, errors, free)
+
+    def one(vector: jax.Array) -> tuple[Values, jax.Array, jax.Array]:
+        (values, status), state = unit.with_state(*first, vector, free)
+        kept = [jnp.ravel(leaf).astype(errors.dtype) for leaf in state]
+        return values, status, jnp.concatenate([jnp.zeros(0, errors.dtype), *kept])
+
+    return jax.vmap(one, in_axes=-1, out_axes=(0, 0, -1))(errors)
+
+
+@per_response(shared=NUMBERS)
+def _pulled(
+    response: Response, population: Population, errors: jax.Array, state: jax.Array, cotangents: jax.Array
+) -> jax.Array:
+    free = _free(population, errors)
+    unit, first = _Traced.of(response, population, errors, free)
+    names = response_names(response, population)
+
+    def one(vector: jax.Array, state: jax.Array, cotangent: jax.Array) -> jax.Array:
+        def weighted(vector: jax.Array, free: dict[str, jax.Array]) -> jax.Array:
+            values, _ = unit.from_state(state, *first, vector, free)
+            return jnp.stack([values[name] for name in names])
+
+        slope, to_free = jax.vjp(weighted, vector, free)[1](cotangent)
+        return jnp.concatenate([slope, jnp.stack(list(to_free.values()))]) if to_free else slope
+
+    return jax.vmap(one, in_axes=-1, out_axes=-1)(errors, state, cotangents)
+
+
+def _free(population: Population, errors: jax.Array) -> dict[str, jax.Array]:
+    """Numbers of the design, by name."""
+    return {name: jnp.asarray(value, errors.dtype) for name, value in sorted((population.values or {}).items())}
 
 
 @per_response(static=("names",), shared=(NUMBERS, UNITS, NUMBERS))

@@ -10,9 +10,18 @@ import numpy as np
 from rvjax._jax.sizes import AT_ONCE, PULLED, calls
 from rvjax.population import Population
 from rvjax.response.devices import Evaluator
-from rvjax.response.gradients import elements, gradients, nominal_status
+from rvjax.response.gradients import (
+    Errors,
+    Solution,
+    elements,
+    gradients,
+    nominal_status,
+    pulls,
+    solution,
+    solve,
+    without_errors,
+)
 from rvjax.response.response import BLOCK, Response, Values, is_costly, respond, response_names
-from rvjax.response.solving import Errors, Solution, pulls, solution, solve, without_errors
 from rvjax.status import Status, succeeded, worst
 
 

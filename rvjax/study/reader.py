@@ -119,7 +119,7 @@ def _sections(tables: Mapping[str, object], needs: Sequence[str] | None) -> dict
 
 def _of_command(table: str) -> Reader | None:
     """Reader of a table; by the name of its module, because an import would be a look upwards."""
-    read: Reader | None = importlib.import_module("rvjax.commands.run").section(table)
+    read: Reader | None = importlib.import_module("rvjax.commands").section(table)
     return read
 
 

@@ -4,6 +4,7 @@ import json
 from dataclasses import dataclass
 
 from rvjax import study
+from rvjax.commands import READING, WRITING, share_cores, tell, units_placed
 from rvjax.commands.allocate import answer, stored_result
 from rvjax.commands.allocate.answer import Answer as Answer, Side as Side
 from rvjax.commands.allocate.full_model_check import (
@@ -23,7 +24,6 @@ from rvjax.commands.allocate.texts import (
     shortfall_text as shortfall_text,
     shortfalls as shortfalls,
 )
-from rvjax.commands.console import READING, WRITING, share_cores, tell, units_placed
 from rvjax.commands.forecast import expected, forewarn, phases_of, seconds_of_units
 from rvjax.commands.inputs import Inputs, quiet_option, results_option, study_argument, switch
 from rvjax.render import Note, Report, results_folder

@@ -14,10 +14,10 @@ from rvjax import assembly, study
 from rvjax.assembly import Plan
 from rvjax.base import progress
 from rvjax.base.files import versions
+from rvjax.commands import READING, WRITING
 from rvjax.commands.assemble.parts import REST, Bench as Bench, bench, unit_values
 from rvjax.commands.assemble.prices import Price as Price, price_table, prices as prices
 from rvjax.commands.assemble.section import Assembly as Assembly, section as section, table_of
-from rvjax.commands.console import READING, WRITING
 from rvjax.commands.inputs import (
     Inputs,
     argument,

@@ -13,9 +13,8 @@ import numpy as np
 from rvjax.assembly import Kind, Machine, Part, Plan, UnitResponse, draw, known as known_parts, outliers, supply_of
 from rvjax.base import columns
 from rvjax.base.cells import MARKS, read_cells
-from rvjax.base.encoding import guessed
 from rvjax.base.fields import axis_sizes, element as element_name, place_of, value_text
-from rvjax.base.numbers import number_of
+from rvjax.base.text import guessed, number_of
 from rvjax.commands.assemble.section import table_of
 from rvjax.mounting import AXES, carried, disc_mountings, drawing
 from rvjax.records import PyTree

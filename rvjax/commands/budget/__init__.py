@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from rvjax import study
 from rvjax.base import progress as phase
+from rvjax.commands import READING, WRITING
 from rvjax.commands.budget.budgets import (
     Budget as Budget,
     ScalarBudget,
@@ -13,7 +14,6 @@ from rvjax.commands.budget.budgets import (
     scalar_budget,
 )
 from rvjax.commands.budget.tables import report_on as report_on, report_on_scalar, section_on as section_on
-from rvjax.commands.console import READING, WRITING
 from rvjax.commands.forecast import forewarn
 from rvjax.commands.inputs import Inputs, option, quiet_option, results_option, study_argument, whole_number
 from rvjax.render import Report, results_folder

@@ -12,9 +12,8 @@ import rvjax
 from rvjax import study
 from rvjax.base import progress
 from rvjax.base.files import versions
-from rvjax.commands import measurement
+from rvjax.commands import READING, WRITING, measurement
 from rvjax.commands.compensate.corrections import Corrections, Curve, corrections, periodic
-from rvjax.commands.console import READING, WRITING
 from rvjax.commands.inputs import (
     Inputs,
     argument,

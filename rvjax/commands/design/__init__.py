@@ -9,9 +9,9 @@ from rvjax import study
 from rvjax._jax.solved_state import moving
 from rvjax.base.files import versions
 from rvjax.catalogue import steep
+from rvjax.commands import READING, WRITING, share_cores
 from rvjax.commands.allocate import stored_result
 from rvjax.commands.cells import assumed_text, failures_text, limits_data
-from rvjax.commands.console import READING, WRITING, share_cores
 from rvjax.commands.design.optimum import JOINT, STEPS, TRADE, UNSCALED, Designed, Point, optima
 from rvjax.commands.design.prices import block, price_note, script, slope, unit_of_number
 from rvjax.commands.design.tables import headline, laws_of, numbers, others, requirements_of, saved_part, tolerances_of

@@ -8,8 +8,7 @@ import numpy as np
 
 from rvjax import identify, study
 from rvjax.base.files import versions
-from rvjax.commands import measurement
-from rvjax.commands.console import READING, WRITING
+from rvjax.commands import READING, WRITING, measurement
 from rvjax.commands.identify.identified import (
     FITTING,
     RANKING,

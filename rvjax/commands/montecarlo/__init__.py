@@ -14,8 +14,8 @@ from rvjax import tolerances
 from rvjax._jax.distributed import meet
 from rvjax._jax.sizes import CHUNK
 from rvjax.base import progress
+from rvjax.commands import READING, share_cores, units_placed
 from rvjax.commands.cells import evaluated, failures_text, met_text, searched_texts, share
-from rvjax.commands.console import READING, share_cores, units_placed
 from rvjax.commands.forecast import forewarn, unit_seconds
 from rvjax.commands.inputs import Inputs, option, quiet_option, study_argument, switch, whole_number
 from rvjax.commands.montecarlo import batch

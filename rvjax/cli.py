@@ -85,7 +85,7 @@ def _parser(chosen: str = "") -> argparse.ArgumentParser:
     """All commands with their lines of help; the chosen one with its options, whose module takes a second to import."""
     import rvjax
 
-    about = tomllib.loads((resources.files("rvjax.cli") / "cli.toml").read_text("utf-8"))
+    about = tomllib.loads((resources.files("rvjax") / "cli.toml").read_text("utf-8"))
     parser = argparse.ArgumentParser("rvjax", None, about["description"], about["epilog"], formatter_class=_Formatter)
     parser.add_argument("--version", action="version", version=f"rvjax {rvjax.__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
