@@ -18,7 +18,7 @@ from rvjax.mesh_force.equilibrium import equilibrium
 from rvjax.mesh_force.geometry import Case
 from rvjax.population import Population, Tolerance
 from rvjax.records import Record, field, record
-from rvjax.response import Evaluator, devices, gradients, units_devices, units_on
+from rvjax.response import Evaluator, derivatives, devices, units_devices, units_on
 
 CASES = 96  # equilibria: more than one block of a processor
 
@@ -107,12 +107,12 @@ def test_calls_of_a_gpu_are_larger_and_give_the_same(monkeypatch, platform, solv
 
     errors = np.random.default_rng(0).normal(size=(2, 300))
     take = lambda units: jnp.asarray(errors[:, units])  # noqa: E731
-    monkeypatch.setattr(gradients, "units_devices", lambda: [SimpleNamespace(platform=platform)])
+    monkeypatch.setattr(derivatives, "units_devices", lambda: [SimpleNamespace(platform=platform)])
     for name in ("_solved", "_pulled"):
-        monkeypatch.setattr(gradients, name, noting(getattr(gradients, name)))
+        monkeypatch.setattr(derivatives, name, noting(getattr(derivatives, name)))
     response = Costly(2.0)
-    values, status, state = gradients.solution(response, POPULATION, 300, take)
-    slopes = gradients.pulls(response, POPULATION, errors, state, np.ones((1, 300)))
+    values, status, state = derivatives.solution(response, POPULATION, 300, take)
+    slopes = derivatives.pulls(response, POPULATION, errors, state, np.ones((1, 300)))
     assert seen == [solved] * -(-300 // solved) + [sloped] * -(-300 // sloped)
     np.testing.assert_allclose(values[0], 2 * np.sin(errors[0]) + errors[1] ** 2, rtol=1e-14)
     np.testing.assert_allclose(slopes, [2 * np.cos(errors[0]), 2 * errors[1]], rtol=1e-14)
@@ -127,7 +127,7 @@ def test_units_go_to_the_devices_that_are_named_and_nothing_else_does():
     with units_on(here):
         assert units_devices() == here and devices.mesh_of(256) is None
         placed = of_chunk()
-        (solved,) = gradients.solve(Costly(2.0), POPULATION, 5, lambda units: jnp.zeros((2, len(units))))
+        (solved,) = derivatives.solve(Costly(2.0), POPULATION, 5, lambda units: jnp.zeros((2, len(units))))
         assert not jnp.zeros(3).committed
     assert placed.committed and not plain.committed and solved.values["y"].shape == (5,)
     np.testing.assert_array_equal(placed, plain)

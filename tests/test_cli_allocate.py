@@ -15,7 +15,7 @@ from cli_study import PICTURES, SMALL, TARGET, UNITS
 import rvjax
 import rvjax.commands.allocate.answer
 from rvjax import cli
-from rvjax.commands.allocate import report_on, stored_result
+from rvjax.commands.allocate import answer, report_on
 from rvjax.commands.budget.budgets import scalar_budget
 from rvjax.commands.forecast import (
     CERTIFICATES,
@@ -185,8 +185,8 @@ def test_an_unchanged_study_is_answered_from_its_folder(answered, undrawn, here,
         result.write_text(json.dumps(change))
         assert cli.main(["allocate", *arguments, "--quiet"]) == 2
         assert "computed anew" in capsys.readouterr().err
-    assert stored_result._names_files({"tolerances": {"x": {"values": [{"file": "a.csv"}]}}})
-    assert not stored_result._names_files({"tolerances": {"x": {"values": [1, "file"]}}})
+    assert answer._names_files({"tolerances": {"x": {"values": [{"file": "a.csv"}]}}})
+    assert not answer._names_files({"tolerances": {"x": {"values": [1, "file"]}}})
 
 
 def test_a_fresh_result_takes_the_place_of_the_stored_one(answers, undrawn, here, capsys, monkeypatch):

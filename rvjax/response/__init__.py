@@ -1,14 +1,14 @@
 """Response: a pure function of the errors of one unit, evaluated for many units on all devices."""
 
+from rvjax.response.derivatives import (
+    elements as elements,
+    elements_and_rates as elements_and_rates,
+    gradients as gradients,
+)
 from rvjax.response.devices import (
     Evaluator as Evaluator,
     units_devices as units_devices,
     units_on as units_on,
-)
-from rvjax.response.gradients import (
-    elements as elements,
-    elements_and_rates as elements_and_rates,
-    gradients as gradients,
 )
 from rvjax.response.parts import (
     Part as Part,

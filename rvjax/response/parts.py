@@ -9,8 +9,7 @@ import numpy as np
 
 from rvjax._jax.sizes import AT_ONCE, PULLED, calls
 from rvjax.population import Population
-from rvjax.response.devices import Evaluator
-from rvjax.response.gradients import (
+from rvjax.response.derivatives import (
     Errors,
     Solution,
     elements,
@@ -21,6 +20,7 @@ from rvjax.response.gradients import (
     solve,
     without_errors,
 )
+from rvjax.response.devices import Evaluator
 from rvjax.response.response import BLOCK, Response, Values, is_costly, respond, response_names
 from rvjax.status import Status, succeeded, worst
 

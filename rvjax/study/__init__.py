@@ -7,6 +7,8 @@ from rvjax.study.design import comments as comments, given_numbers as given_numb
 from rvjax.study.identification import NUISANCES, field_unit, part_orders as part_orders
 from rvjax.study.kinds import (
     KINDS as KINDS,
+    RATED,
+    TORQUE,
     Assumed as Assumed,
     Drawing as Drawing,
     Kind as Kind,
@@ -22,7 +24,6 @@ from rvjax.study.kinds import (
     orders_of as orders_of,
     outside as outside,
 )
-from rvjax.study.kinds.rv import RATED, TORQUE
 from rvjax.study.problem import (
     Candidate,
     Problem,
@@ -30,9 +31,8 @@ from rvjax.study.problem import (
     identification_of,
     problem as inverse_problem,
 )
-from rvjax.study.reader import EMBEDDED, embedded_names, load, parse_study
+from rvjax.study.reader import EMBEDDED, embedded_names, load, parse_study, template as study_template
 from rvjax.study.response import CURVE as CURVE, Response as Response, refuse as refuse
-from rvjax.study.rewrite import template as study_template
 from rvjax.study.study import Study, StudyError
 from rvjax.study.tolerances import stated_by as stated_by
 from rvjax.study.values import (

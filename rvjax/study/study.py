@@ -14,8 +14,16 @@ from rvjax.catalogue import accept
 from rvjax.levels import Choice, choose
 from rvjax.outputs import Curve, Output
 from rvjax.records import PyTree, Record, Scalar
-from rvjax.study.design import Number, comments, design_numbers, given_paths, is_assumed
-from rvjax.study.doubts import doubtful_costs, doubtful_limits, doubts
+from rvjax.study.design import (
+    Number,
+    comments,
+    design_numbers,
+    doubtful_costs,
+    doubtful_limits,
+    doubts,
+    given_paths,
+    is_assumed,
+)
 from rvjax.study.goals import Price
 from rvjax.study.identification import Identification
 from rvjax.study.kinds import changed, fields_of, kind_of

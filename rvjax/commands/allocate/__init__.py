@@ -5,13 +5,12 @@ from dataclasses import dataclass
 
 from rvjax import study
 from rvjax.commands import READING, WRITING, share_cores, tell, units_placed
-from rvjax.commands.allocate import answer, stored_result
-from rvjax.commands.allocate.answer import Answer as Answer, Side as Side
+from rvjax.commands.allocate import answer
+from rvjax.commands.allocate.answer import FILE as FILE, Answer as Answer, Side as Side, restored_from as restored_from
 from rvjax.commands.allocate.full_model_check import (
     unlimited_tables as unlimited_tables,
     unlimited_texts as unlimited_texts,
 )
-from rvjax.commands.allocate.stored_result import FILE as FILE, restored_from as restored_from
 from rvjax.commands.allocate.tables import (
     figures as figures,
     report_on as report_on,
@@ -19,6 +18,7 @@ from rvjax.commands.allocate.tables import (
     tolerance_tables as tolerance_tables,
 )
 from rvjax.commands.allocate.texts import (
+    LIVES as LIVES,
     headline as headline,
     limits_of_the_answer as limits_of_the_answer,
     shortfall_text as shortfall_text,
@@ -62,14 +62,14 @@ class AllocateInputs(Inputs):
         self.study = study.load(self.source, solve=False)
         if self.study.costly:
             share_cores(1)
-        stored = stored_result.folder(self.study, self.results)
+        stored = answer.folder(self.study, self.results)
         self.stored = None if self.fresh else stored
         if self.stored is not None:
             self.quiet = True
             return
         self.folder, self.over = results_folder(self.results, self.study.name, stored), stored is not None
         forewarn(self.study, expected(self.study))
-        self.memo = stored_result.memo(self.study, self.folder)
+        self.memo = answer.memo(self.study, self.folder)
 
 
 def phases(inputs: AllocateInputs) -> tuple[str, ...]:
@@ -102,11 +102,11 @@ def report(inputs: AllocateInputs, found: Answer | None) -> Report:
     place = inputs.stored
     assert place is not None
     said = f"Unchanged since {place} was written: this is its stored result. --fresh replaces it."
-    stored = stored_result.restored(inputs.study, place)  # fits the terminal; the summary has the lines of a file
+    stored = answer.restored(inputs.study, place)  # fits the terminal; the summary has the lines of a file
     shown = report_on(stored).content if stored else (Note((place / "summary.txt").read_text("utf-8").strip()),)
     return Report(
         title=inputs.study.name,
         content=(*shown, Note(said)),
-        ok=stored_result.status(place) == "OPTIMAL",
+        ok=answer.status(place) == "OPTIMAL",
         data=json.loads((place / "result.json").read_text()) | {"results": str(place)},
     )

@@ -12,8 +12,7 @@ import numpy as np
 
 import rvjax
 from rvjax.base.files import versions
-from rvjax.commands.allocate import stored_result
-from rvjax.commands.allocate.answer import Answer
+from rvjax.commands.allocate.answer import FILE, Answer, stored
 from rvjax.commands.allocate.full_model_check import unlimited_tables
 from rvjax.commands.allocate.texts import headline, limits_of_the_answer
 from rvjax.commands.cells import (
@@ -79,7 +78,7 @@ def report_on(answer: Answer) -> Report:
         status=answer.allocation.status,
         ok=answer.allocation.status == "OPTIMAL",
         data=_data(answer),
-        files={"study.toml": answer.study.text.encode(), stored_result.FILE: stored_result.stored(answer)},
+        files={"study.toml": answer.study.text.encode(), FILE: stored(answer)},
     )
 
 

@@ -15,9 +15,15 @@ from rvjax.assembly import Plan
 from rvjax.base import progress
 from rvjax.base.files import versions
 from rvjax.commands import READING, WRITING
-from rvjax.commands.assemble.parts import REST, Bench as Bench, bench, unit_values
-from rvjax.commands.assemble.prices import Price as Price, price_table, prices as prices
-from rvjax.commands.assemble.section import Assembly as Assembly, section as section, table_of
+from rvjax.commands.assemble.matching import (
+    Bench as Bench,
+    Price as Price,
+    bench,
+    price_table,
+    prices as prices,
+    unit_values,
+)
+from rvjax.commands.assemble.parts import REST, Assembly as Assembly, section as section, table_of
 from rvjax.commands.inputs import (
     Inputs,
     argument,

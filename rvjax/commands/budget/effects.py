@@ -1,16 +1,83 @@
-"""Total effects of errors on the harmonics of units, one error sampled again and the others kept (Jansen 1999)."""
+"""Curves of units, and total effects of errors on their harmonics.
 
+Units have one program for all commands and torques. For the effect of an error it is sampled again and the others are
+kept (Jansen 1999).
+"""
+
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.sizes import AT_ONCE
+from rvjax._jax.programs import QUICK
+from rvjax._jax.sizes import AT_ONCE, calls
 from rvjax.base.words import choose
 from rvjax.errors import STAGES, described
+from rvjax.outputs import Curve, torque_condition
 from rvjax.population import Population
+from rvjax.records import Design, PyTree, Record, Scalar, field, record, text
+from rvjax.response import per_response
 from rvjax.study import Study
+
+
+@record
+class _Drawn(Record):
+    """errors -> angles and curve of one unit."""
+
+    design: Design = field("-", "the reducer", kind="record")
+    torque: Scalar | None = field("N m", "None: that of the conditions")
+    conditions: object = text("how the reducer runs")
+    condition: str = text("name of the torque")
+    evaluate: Callable[..., tuple[jax.Array, jax.Array]] = text("of a model")
+
+    def __call__(self, errors: PyTree) -> tuple[jax.Array, jax.Array]:
+        """Angles and values (n,)."""
+        given = self.conditions
+        if self.torque is not None:
+            given = dataclasses.replace(given, **{self.condition: self.torque})  # type: ignore[type-var]
+        angle, values = self.evaluate(self.design, errors, given)
+        return jnp.asarray(angle), values
+
+
+def curves_of(
+    curve: Curve, design: Design, conditions: object, population: Population, z: np.ndarray, torque: float | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Angles (n,) and curves (units, n) of units with random numbers z (numbers, units).
+
+    Args:
+        curve: of a model.
+        design: the reducer.
+        conditions: how it runs.
+        population: of the units.
+        z: their random numbers.
+        torque: other than that of the conditions, N m.
+    """
+    unit, count, found = _unit(curve, design, conditions, torque), z.shape[1], list[np.ndarray]()
+    for lanes in calls(count, AT_ONCE):
+        angles, values = _curves(unit, population, jnp.asarray(z[:, lanes]))
+        found.append(np.asarray(values))
+    return np.asarray(angles)[0], np.concatenate(found)[:count]
+
+
+def _unit(curve: Curve, design: Design, conditions: object, torque: float | None) -> _Drawn:
+    name = torque_condition(conditions)
+    torque = getattr(conditions, name, None) if torque is None else torque
+    if not torque:  # no effects of a load are traced
+        return _Drawn(design, None, conditions, name, curve.evaluate)
+    return _Drawn(design, float(torque), dataclasses.replace(conditions, **{name: 0.0}), name, curve.evaluate)  # type: ignore[type-var]
+
+
+@per_response(options=QUICK)
+def _curves(
+    unit: Callable[..., tuple[jax.Array, jax.Array]], population: Population, z: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Angles and curves (units, n)."""
+    return jax.vmap(lambda z: unit(population.errors(z)), in_axes=-1)(z)
+
 
 FEWEST, MOST = 16, 2**16
 LEVELS = ("field", "part", "stage")
@@ -112,9 +179,9 @@ def by_level(level: str, variance: dict[str, V], part: dict[str, str]) -> dict[s
     """
     choose("level", level, LEVELS)
     sums: dict[str, V] = {}
-    for field, values in variance.items():
-        own = part[field] or "other"
-        name = {"field": field, "part": own, "stage": STAGES.get(own, "other")}[level]
+    for error, values in variance.items():
+        own = part[error] or "other"
+        name = {"field": error, "part": own, "stage": STAGES.get(own, "other")}[level]
         sums[name] = sums[name] + values if name in sums else values
     return dict(
         sorted(sums.items(), key=lambda item: -float(np.sum(np.asarray(item[1])[1:] if np.ndim(item[1]) else item[1])))

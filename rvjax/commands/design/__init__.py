@@ -10,7 +10,7 @@ from rvjax._jax.solved_state import moving
 from rvjax.base.files import versions
 from rvjax.catalogue import steep
 from rvjax.commands import READING, WRITING, share_cores
-from rvjax.commands.allocate import stored_result
+from rvjax.commands.allocate import answer
 from rvjax.commands.cells import assumed_text, failures_text, limits_data
 from rvjax.commands.design.optimum import JOINT, STEPS, TRADE, UNSCALED, Designed, Point, optima
 from rvjax.commands.design.prices import block, price_note, script, slope, unit_of_number
@@ -71,7 +71,7 @@ class DesignInputs(Inputs):
         self.points = 0 if self.alone or not self.study.objective else usual if self.front is None else self.front
         self.folder = results_folder(self.results, f"{self.study.name}-design")
         forewarn(self.study)
-        self.memo = stored_result.memo(self.study, self.folder)
+        self.memo = answer.memo(self.study, self.folder)
 
 
 def _refuse_unread(asked: Study) -> None:

@@ -16,9 +16,8 @@ from rvjax.commands.budget import budget_if_any, section_on
 from rvjax.commands.forecast import expected, forewarn, phases_of, seconds_of_units
 from rvjax.commands.inputs import Inputs, option, quiet_option, study_argument, switch
 from rvjax.commands.report import response_surface
-from rvjax.commands.report.bearings import bearing_section
+from rvjax.commands.report.bearings import bearing_section, lives_if_any
 from rvjax.commands.report.friction import friction_section, losses_if_any
-from rvjax.commands.report.lives import lives_if_any
 from rvjax.commands.report.page import Shown as Shown, page_of as page_of
 from rvjax.commands.report.sliders import cost_data as cost_data, script_of as script_of
 from rvjax.records import PyTree

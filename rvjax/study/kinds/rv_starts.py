@@ -18,7 +18,7 @@ from rvjax.population import it_width
 from rvjax.records import PyTree, Scalar
 from rvjax.study.kinds.following import Law, fields_of_kind, number_at, outside
 from rvjax.study.kinds.kind import Assumed, Known, Numbers, Start
-from rvjax.study.kinds.rv.facts import AXIAL, FOLLOWING, KNOWN_REDUCERS, LAWS, NAMES, RATED, SIZES
+from rvjax.study.kinds.rv_facts import AXIAL, FOLLOWING, KNOWN_REDUCERS, LAWS, NAMES, RATED, SIZES
 from rvjax.study.values import in_unit
 from rvjax.units import mm, um
 
