@@ -14,11 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.checks import checked
-from rvjax.identify.elements import FAR, Elements, mapped_values, standard
+from rvjax.identify.elements import FAR, Elements, Spectrum, mapped_values, standard
 from rvjax.identify.gauss_newton import Mode, info_of
 from rvjax.identify.goodness_of_fit import ADEQUATE, Fit, goodness, largest, weights_of
 from rvjax.identify.identification import Model, Problem, counted, integer
-from rvjax.identify.information import Spectrum
 from rvjax.identify.observation import Noise
 from rvjax.identify.posterior import outcome
 from rvjax.identify.search import APART, FAINT, ended_near, evidence_of, follow, lower_points, peak_of

@@ -12,8 +12,17 @@ from rvjax.base.words import choose
 from rvjax.catalogue import RV_20E, checked
 from rvjax.designs import CycloidStage, RVReducer, expect
 from rvjax.errors import RVErrors, read_by
-from rvjax.lost_motion import flank as flanks
-from rvjax.lost_motion.terms import FLANK_TERMS, LostMotionTerms, Teeth, Unit, contributions, harmless
+from rvjax.lost_motion.terms import (
+    FLANK_TERMS,
+    STEPS,
+    Flank,
+    LostMotionTerms,
+    Teeth,
+    Unit,
+    contributions,
+    first_order_minimum,
+    minimum,
+)
 from rvjax.outputs import KNOWN_ERROR, Cases, Description, Output, Solved, Way, condition
 from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record
 from rvjax.status import SolveInfo, Status, admit, converged, window
@@ -104,11 +113,11 @@ def _geometric(numbers: object, *, reading: str, profile: str) -> LostMotion:
     alone = RVErrors() if apart else parts
     possible = (~_possible(unit, alone, teeth, profile), Status.INVALID_GEOMETRY)
     if apart:
-        unit, gate = admit(unit, harmless(teeth, unit), (~_finite(of_unit, smallest), Status.NONFINITE), possible)
+        unit, gate = admit(unit, _harmless(teeth, unit), (~_finite(of_unit, smallest), Status.NONFINITE), possible)
         parts, gate = admit(parts, 0, (~_finite(of_parts, smallest), Status.NONFINITE), after=gate)
     else:
         refused = (~_finite(of_unit + of_parts, smallest), Status.NONFINITE), possible
-        unit, gate = admit(unit, harmless(teeth, unit), *refused)
+        unit, gate = admit(unit, _harmless(teeth, unit), *refused)
         parts, gate = admit(parts, 0, after=gate)
 
     terms, cosine = contributions(unit, parts, teeth, reading)
@@ -122,11 +131,11 @@ def _geometric(numbers: object, *, reading: str, profile: str) -> LostMotion:
         found_wrong += [(~assembles, Status.NOT_ASSEMBLABLE)]
         flank = flank._replace(D=jnp.where(assembles, flank.D, 0), d=jnp.where(assembles, flank.d, 0))
         if profile == "contact":
-            minimum = flanks.minimum(flank)
-            of_flank, steps, residual = minimum.play, flanks.STEPS, minimum.slope
-            found_wrong += [(~minimum.reaches, Status.INVALID_GEOMETRY), (~minimum.converged, Status.MAX_STEPS)]
+            found = minimum(flank)
+            of_flank, steps, residual = found.play, STEPS, found.slope
+            found_wrong += [(~found.reaches, Status.INVALID_GEOMETRY), (~found.converged, Status.MAX_STEPS)]
         else:
-            of_flank = flanks.first_order_minimum(flank)
+            of_flank = first_order_minimum(flank)
         replaced = sum(values[name] for name in FLANK_TERMS)
         total = of_flank + sum(value for name, value in values.items() if name not in FLANK_TERMS)
         terms = terms.replace(contact_remainder=of_flank - replaced)
@@ -225,14 +234,23 @@ def _possible(unit: Unit, parts: RVErrors, teeth: Teeth, profile: str) -> jax.Ar
     return possible
 
 
-def _flank(unit: Unit, parts: RVErrors, teeth: Teeth, profile: str) -> flanks.Flank:
+def _harmless(teeth: Teeth, like: Unit) -> Unit:
+    """Numbers on which every formula is finite: K1 = 1/2, nothing modified; None where `like` has it."""
+    safe = Unit(
+        alpha=0.0, force=1.0, a0=1.0, a1=0.0, r1=1.0, e=1.0, rp=2 * teeth.zp, given_k1=0.5,
+        equidistant=0.0, shift=0.0, tilt=0.0,
+    )  # fmt: skip
+    return Unit(*(None if given is None else value for given, value in zip(like, safe)))
+
+
+def _flank(unit: Unit, parts: RVErrors, teeth: Teeth, profile: str) -> Flank:
     """Flank as ground and pins as they are: every profile and pin deviation in the two lengths D and d."""
     e = unit.e + parts.eccentricity
     D = unit.equidistant + parts.equidistant_modification - parts.pin_radius + parts.pin_hole_clearance / 2
     d = unit.shift + parts.shift_modification - parts.pin_circle_radius
     ring = unit.rp + parts.pin_circle_radius
     k = e * teeth.zp / (ring + d) if profile == "contact" else unit.k1(teeth) * e / unit.e
-    return flanks.Flank(e, ring, k, D, d, teeth.zc)
+    return Flank(e, ring, k, D, d, teeth.zc)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from rvjax.commands.allocate.texts import (
     shortfall_text as shortfall_text,
     shortfalls as shortfalls,
 )
-from rvjax.commands.forecast import expected, forewarn, phases_of, seconds_of_units
+from rvjax.commands.check import expected, forewarn, phases_of, seconds_of_units
 from rvjax.commands.inputs import Inputs, quiet_option, results_option, study_argument, switch
 from rvjax.render import Note, Report, results_folder
 

@@ -15,13 +15,11 @@ from rvjax.base.files import versions
 from rvjax.commands.allocate.answer import FILE, Answer, stored
 from rvjax.commands.allocate.full_model_check import unlimited_tables
 from rvjax.commands.allocate.texts import headline, limits_of_the_answer
+from rvjax.commands.budget.effects import IN_FILE, NOT_IN_FILE, influence_tables
 from rvjax.commands.cells import (
-    IN_FILE,
-    NOT_IN_FILE,
     binding,
     evaluated,
     failures_text,
-    influence_tables,
     limit_text,
     limits_data,
     limits_of,

@@ -21,9 +21,8 @@ from rvjax.commands.budget.budgets import (
     error_budget as error_budget,
     scalar_budget,
 )
-from rvjax.commands.budget.effects import LEVELS
-from rvjax.commands.cells import SHARE_MEANS, UNMOVED_MEANS, influence_share, slope_text, together_text
-from rvjax.commands.forecast import forewarn
+from rvjax.commands.budget.effects import LEVELS, SHARE_MEANS, UNMOVED_MEANS, influence_share, slope_text, together_text
+from rvjax.commands.check import forewarn
 from rvjax.commands.inputs import Inputs, option, quiet_option, results_option, study_argument, whole_number
 from rvjax.render import (
     CSV,

@@ -12,7 +12,8 @@ import rvjax
 from rvjax import study
 from rvjax.base import progress
 from rvjax.base.files import versions
-from rvjax.commands import READING, WRITING, measurement
+from rvjax.commands import READING, WRITING
+from rvjax.commands.cells import findings_data, measurement_section, measurement_warnings
 from rvjax.commands.compensate.corrections import Corrections, Curve, corrections, periodic
 from rvjax.commands.inputs import (
     Inputs,
@@ -156,7 +157,7 @@ def report(inputs: CompensateInputs, found: Corrections) -> Report:
         title=f"{study.name}: compensation",
         content=(
             Note(head),
-            *([Note("\n".join(said))] if (said := measurement.warnings(found_in)) else []),
+            *([Note("\n".join(said))] if (said := measurement_warnings(found_in)) else []),
             _curves(curves, left),
             *_crossed(curves),
             Note(rest),
@@ -164,7 +165,7 @@ def report(inputs: CompensateInputs, found: Corrections) -> Report:
             *([Note("\n".join(found.notes))] if found.notes else []),
             _orders(curves),
             *(_figure(curve, end) for curve, end in zip(curves, _ends(curves))),
-            *measurement.section(found_in, [_measured(curve, end) for curve, end in zip(curves, _ends(curves))]),
+            *measurement_section(found_in, [_measured(curve, end) for curve, end in zip(curves, _ends(curves))]),
         ),
         page="",
         data=_data(inputs, found, left, found_in),
@@ -279,7 +280,7 @@ def _data(
             "residual_rms": curve.after,
             "held_out_rms": curve.held_out and list(curve.held_out),
             "not_stored": curve.fit.unsure,
-            "measurement": measurement.as_data(found_in[curve.label]),
+            "measurement": findings_data(found_in[curve.label]),
             "noise_sd": curve.found.residual_sd,
             "error_bound": rows.error_bound,
             "predicted": stays,

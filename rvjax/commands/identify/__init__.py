@@ -8,7 +8,8 @@ import numpy as np
 
 from rvjax import identify, study
 from rvjax.base.files import versions
-from rvjax.commands import READING, WRITING, measurement
+from rvjax.commands import READING, WRITING
+from rvjax.commands.cells import findings_data
 from rvjax.commands.identify.identified import (
     FITTING,
     RANKING,
@@ -169,7 +170,7 @@ def _data(found: Identified) -> dict[str, object]:
         said["draws"] = {key: getattr(found.draws, key) for key in ("trusted", "r_hat", "ess", "divergences")}
     best = next(iter(found.gains or {}), None)
     said["next"] = None if best is None else {"chosen": best, "gains": found.gains}
-    said["measurement"] = {name: measurement.as_data(several) for name, several in found.findings.items()}
+    said["measurement"] = {name: findings_data(several) for name, several in found.findings.items()}
     said |= {"noise": found.problem.sd, "runs": [run.text() for run in found.problem.runs]}
     said |= {"notes": list(found.problem.notes)} if found.problem.notes else {}
     return said | {"seed": found.study.seed, "versions": versions()}

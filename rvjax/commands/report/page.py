@@ -19,8 +19,9 @@ from rvjax.commands.allocate import (
     unlimited_tables,
     unlimited_texts,
 )
-from rvjax.commands.cells import condition_text, influence_tables, share
-from rvjax.commands.forecast import shown_values
+from rvjax.commands.budget.effects import influence_tables
+from rvjax.commands.cells import condition_text, share
+from rvjax.commands.check import shown_values
 from rvjax.commands.report import response_surface, sliders
 from rvjax.commands.report.worst_units import SHARE_SHOWN, rows_of, worst_units
 from rvjax.records import PyTree
