@@ -18,7 +18,8 @@ from rvjax.mesh_force.equilibrium import equilibrium
 from rvjax.mesh_force.geometry import Case
 from rvjax.population import Population, Tolerance
 from rvjax.records import Record, field, record
-from rvjax.response import Evaluator, derivatives, devices, units_devices, units_on
+from rvjax.response import Evaluator, derivatives, units_devices, units_on
+from rvjax.response.response import mesh_of
 
 CASES = 96  # equilibria: more than one block of a processor
 
@@ -125,7 +126,7 @@ def test_units_go_to_the_devices_that_are_named_and_nothing_else_does():
     of_chunk = lambda: Evaluator(lambda e: e["a"] + e["b"], POPULATION, 0, "random", 50).start(0)[0][""]  # noqa: E731
     plain = of_chunk()
     with units_on(here):
-        assert units_devices() == here and devices.mesh_of(256) is None
+        assert units_devices() == here and mesh_of(256) is None
         placed = of_chunk()
         (solved,) = derivatives.solve(Costly(2.0), POPULATION, 5, lambda units: jnp.zeros((2, len(units))))
         assert not jnp.zeros(3).committed

@@ -18,9 +18,8 @@ from live_study import PLAY, in_node, played
 
 import rvjax
 from rvjax import study, tolerances
-from rvjax.commands.allocate import full_model_check
+from rvjax.commands.allocate import full_model_check, report_on
 from rvjax.commands.allocate.answer import FILE, stored
-from rvjax.commands.allocate.tables import report_on
 from rvjax.commands.report import Shown, page_of, response_surface, sliders
 from rvjax.render import Report
 from rvjax.study import reader

@@ -1,26 +1,141 @@
-"""The commands of rvjax, and one run of a command. A command is a module here, or a package, and a line in COMMANDS.
+"""The commands of rvjax: their inputs, and one run. A command is a module here, or a package, and a line in COMMANDS.
 
-Of a command NAME: `NameInputs` has its options as fields, and its help as docstring; `compute(inputs)` works, in phases
-that `phases(inputs)` lists, if it has any; `COUNTED` is the phase that reports which part of it is done;
-`report(inputs, found)` describes what was found; `section(table, study)` reads its table of study files. A run prints
-text or JSON and writes a results folder. The module of a command is imported when it is first used.
+Of a command NAME: `NameInputs` has its options as fields, whose metadata are help, unit and choices, and its help as
+docstring; `compute(inputs)` works, in phases that `phases(inputs)` lists, if it has any; `COUNTED` is the phase that
+reports which part of it is done; `report(inputs, found)` describes what was found; `section(table, study)` reads its
+table of study files. A run prints text or JSON and writes a results folder. The module of a command is imported when it
+is first used.
 
 Units have a device of JAX for each core, where units take longer than their start; a GPU, where they take much longer.
 """
 
+import argparse
 import contextlib
+import dataclasses
 import importlib
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.util import find_spec
+from pathlib import Path
 from types import ModuleType
-from typing import TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from rvjax.base import progress
 from rvjax.base.words import terminal_width, wrapped
-from rvjax.commands.inputs import Inputs, add_options as add_options, read as read, texts_of as texts_of
+
+if TYPE_CHECKING:
+    from rvjax.tolerances import Memo
+
+
+class Inputs:
+    """Inputs of a command: a dataclass whose fields are its options; `__post_init__` reads what they name.
+
+    Attributes that a run uses: `quiet`, whether it shows no progress; `folder` of the results, None for none; `over`,
+    whether they replace those in it; `memo` of an interrupted run, or None; `command`, the words of the command line.
+    """
+
+    quiet: bool = True
+    folder: Path | None = None
+    over: bool = False
+    memo: "Memo | None" = None
+    command: Sequence[str] = ()
+
+
+def option(
+    text: str | None,
+    metavar: str | None = None,
+    *,
+    flag: str = "",
+    unit: str = "",
+    sign: str = "any",
+    ends: str | tuple[str, ...] | None = None,
+    **parsing: Any,
+) -> Any:
+    """An option: a field of inputs.
+
+    Args:
+        text: its help, None for an option that is not shown.
+        metavar: placeholder of its value in the help.
+        flag: such as "--as"; "" for the name of the field.
+        unit: SI unit; what the user writes has a unit, such as "412 N m".
+        sign: of a value with a unit: "any", "positive" or "nonnegative".
+        ends: ending, or tuple of endings, of a file that is written; its folder must exist.
+        **parsing: `default` (None), `type`, `choices` ... as `argparse` reads them.
+    """
+    about = {"help": argparse.SUPPRESS if text is None else text, "metavar": metavar, **parsing}
+    about = {key: value for key, value in about.items() if value is not None}
+    metadata = {"parser": about, "flag": flag, "unit": unit, "sign": sign, "ends": ends}
+    return dataclasses.field(default=parsing.get("default"), metadata=metadata)
+
+
+def argument(text: str, metavar: str, **more: Any) -> Any:
+    """An argument without a flag, required unless it has a `default`.
+
+    Args:
+        text: its help.
+        metavar: placeholder of its value in the help.
+        **more: as in `option`.
+    """
+    several = {"nargs": "?"} if "default" in more and "nargs" not in more else {}
+    return option(text, metavar, flag=".", **several, **more)
+
+
+def study_argument(which: str = "", **more: Any) -> Any:
+    """The argument that names a study; a command reads it in `__post_init__`.
+
+    Args:
+        which: embedded studies of the command, for the help.
+        **more: `default`, a study.
+    """
+    return argument(f"a study file (.toml), or an embedded study{which}", "STUDY", **more)
+
+
+def switch(text: str, **more: Any) -> Any:
+    """An option without a value: False unless it is given.
+
+    Args:
+        text: its help.
+        **more: as in `option`.
+    """
+    return option(text, action="store_true", default=False, **more)
+
+
+def quiet_option() -> Any:
+    """The option that hides progress."""
+    return switch("do not print progress")
+
+
+def results_option(name: str) -> Any:
+    """The option that names the results folder.
+
+    Args:
+        name: of the folder without the option, below `results`.
+    """
+    return option(f"new folder for the results (default: results/{name}, numbered if it exists)", "DIR")
+
+
+def encoding_option() -> Any:
+    """The option with the encoding of a CSV file."""
+    return option("encoding of the data, such as cp932 (default: UTF-8, UTF-16 or a guess)", "NAME")
+
+
+def flag_of(name: str) -> str:
+    """The option of a field: "rated_torque" -> "--rated-torque"."""
+    return f"--{name.replace('_', '-')}"
+
+
+def whole_number(text: str) -> int:
+    """A number such as 250000, 1_000_000 or 1e8."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = 0.0
+    if not (1 <= number <= 2**53 and number == int(number)):
+        raise argparse.ArgumentTypeError(f"{text!r}: must be a whole number of at least 1")
+    return int(number)
+
 
 # A loop over blocks of units has one thread, so each core becomes a device of JAX, which takes its part of every chunk;
 # more devices would leave each too few blocks.

@@ -58,6 +58,21 @@ def limit_text(requirement: Limits, output: Output) -> str:
     return " and ".join(f"{sign} {with_unit(limit / size, unit)}" for sign, limit in bounds if math.isfinite(limit))
 
 
+def against_limit(value: float, requirement: Limits, output: Output) -> str:
+    """A value and its nearer limit, such as "4,780 h, below 6000 h".
+
+    Args:
+        value: SI.
+        requirement: with limits of the value.
+        output: what the value is.
+    """
+    unit, size = output.shown
+    beyond = {"below": requirement.lower - value, "above": value - requirement.upper}
+    side = max(beyond, key=lambda name: beyond[name])
+    limit = with_unit((requirement.lower if side == "below" else requirement.upper) / size, unit)
+    return f"{with_unit(value / size, unit, ',.4g')}, {side if beyond[side] > 0 else 'limit'} {limit}"
+
+
 def share(estimate: Estimate) -> Quantity:
     """A yield with its interval."""
     return Quantity.of(estimate, read_in="%", form=".3f")

@@ -11,9 +11,8 @@ from typing import Any
 
 from rvjax import levels, models, study
 from rvjax.base.progress import spelled
-from rvjax.commands import say
+from rvjax.commands import Inputs, option, say, study_argument
 from rvjax.commands.cells import assumed_text, condition_text, limit_text, limits_data, limits_of
-from rvjax.commands.inputs import Inputs, option, study_argument
 from rvjax.levels import Choice
 from rvjax.render import Cell, Figure, Limits, Note, Number, Report, Table, Text
 from rvjax.response import BLOCK

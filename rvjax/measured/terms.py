@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from rvjax.base.text import svd
-from rvjax.measured.sampling import Sampling, spectrum
+from rvjax.measured.run import Sampling, spectrum
 
 COLLINEAR = 1e-8  # square of the share of a column that others do not explain
 TINY = 1e-300

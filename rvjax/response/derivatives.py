@@ -19,8 +19,19 @@ from rvjax._jax.sizes import PULLED, SLOPED, SOLVED, calls
 from rvjax._jax.solved_state import Marked
 from rvjax.population import Population
 from rvjax.records import Record
-from rvjax.response.devices import mesh_of, on, units_devices
-from rvjax.response.response import NUMBERS, UNITS, Response, Values, evaluate, is_costly, per_response, response_names
+from rvjax.response.response import (
+    NUMBERS,
+    UNITS,
+    Response,
+    Values,
+    evaluate,
+    is_costly,
+    mesh_of,
+    on,
+    per_response,
+    response_names,
+    units_devices,
+)
 
 Errors = Callable[[np.ndarray], jax.Array]  # of the indices of some units
 Solution = tuple[np.ndarray, np.ndarray, np.ndarray]

@@ -14,7 +14,17 @@ from rvjax import assembly, study
 from rvjax.assembly import Plan
 from rvjax.base import progress
 from rvjax.base.files import versions
-from rvjax.commands import READING, WRITING
+from rvjax.commands import (
+    READING,
+    WRITING,
+    Inputs,
+    argument,
+    encoding_option,
+    quiet_option,
+    results_option,
+    study_argument,
+    switch,
+)
 from rvjax.commands.assemble.matching import (
     Bench as Bench,
     Price as Price,
@@ -24,15 +34,6 @@ from rvjax.commands.assemble.matching import (
     unit_values,
 )
 from rvjax.commands.assemble.parts import REST, Assembly as Assembly, section as section, table_of
-from rvjax.commands.inputs import (
-    Inputs,
-    argument,
-    encoding_option,
-    quiet_option,
-    results_option,
-    study_argument,
-    switch,
-)
 from rvjax.mounting import disc_mountings, drawing
 from rvjax.records import PyTree
 from rvjax.render import CSV, TEXT, Cell, Figure, Interval, Note, Number, Quantity, Report, Table, Text, results_folder

@@ -12,7 +12,7 @@ import numpy as np
 from rvjax import study
 from rvjax.base import progress as phase
 from rvjax.base.files import versions
-from rvjax.commands import READING, WRITING
+from rvjax.commands import READING, WRITING, Inputs, option, quiet_option, results_option, study_argument, whole_number
 from rvjax.commands.budget.budgets import (
     Budget as Budget,
     ScalarBudget,
@@ -23,7 +23,6 @@ from rvjax.commands.budget.budgets import (
 )
 from rvjax.commands.budget.effects import LEVELS, SHARE_MEANS, UNMOVED_MEANS, influence_share, slope_text, together_text
 from rvjax.commands.check import forewarn
-from rvjax.commands.inputs import Inputs, option, quiet_option, results_option, study_argument, whole_number
 from rvjax.render import (
     CSV,
     EVERYWHERE,

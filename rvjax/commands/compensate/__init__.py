@@ -12,10 +12,9 @@ import rvjax
 from rvjax import study
 from rvjax.base import progress
 from rvjax.base.files import versions
-from rvjax.commands import READING, WRITING
-from rvjax.commands.cells import findings_data, measurement_section, measurement_warnings
-from rvjax.commands.compensate.corrections import Corrections, Curve, corrections, periodic
-from rvjax.commands.inputs import (
+from rvjax.commands import (
+    READING,
+    WRITING,
     Inputs,
     argument,
     encoding_option,
@@ -26,6 +25,8 @@ from rvjax.commands.inputs import (
     switch,
     whole_number,
 )
+from rvjax.commands.cells import findings_data, measurement_section, measurement_warnings
+from rvjax.commands.compensate.corrections import Corrections, Curve, corrections, periodic
 from rvjax.compensation import FORMS, Correction, Left, exported, predicted, residual, table
 from rvjax.measured import Finding, findings, foreign
 from rvjax.records import PyTree

@@ -9,14 +9,13 @@ from rvjax import study
 from rvjax._jax.solved_state import moving
 from rvjax.base.files import versions
 from rvjax.catalogue import steep
-from rvjax.commands import READING, WRITING, share_cores
+from rvjax.commands import READING, WRITING, Inputs, argument, option, quiet_option, results_option, share_cores, switch
 from rvjax.commands.allocate import answer
 from rvjax.commands.cells import assumed_text, failures_text, limits_data
 from rvjax.commands.check import forewarn
 from rvjax.commands.design.optimum import JOINT, STEPS, TRADE, UNSCALED, Designed, Point, optima
 from rvjax.commands.design.prices import block, price_note, script, slope, unit_of_number
 from rvjax.commands.design.tables import headline, laws_of, numbers, others, requirements_of, saved_part, tolerances_of
-from rvjax.commands.inputs import Inputs, argument, option, quiet_option, results_option, switch
 from rvjax.population import sample
 from rvjax.render import Figure, Note, Report, Section, leading_comment, results_folder
 from rvjax.study import Study, StudyError, kind_of, number_at, outside, shown

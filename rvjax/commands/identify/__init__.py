@@ -8,7 +8,7 @@ import numpy as np
 
 from rvjax import identify, study
 from rvjax.base.files import versions
-from rvjax.commands import READING, WRITING
+from rvjax.commands import READING, WRITING, Inputs, argument, encoding_option, quiet_option, results_option, switch
 from rvjax.commands.cells import findings_data
 from rvjax.commands.identify.identified import (
     FITTING,
@@ -31,7 +31,6 @@ from rvjax.commands.identify.words import (
     rounded as rounded,
     verdict_line as verdict_line,
 )
-from rvjax.commands.inputs import Inputs, argument, encoding_option, quiet_option, results_option, switch
 from rvjax.render import Report, leading_comment, results_folder
 from rvjax.study import field_unit, identification_of, read_measured
 from rvjax.units import arcsec
