@@ -15,14 +15,14 @@ from rvjax.loaded.case import (
 )
 from rvjax.loaded.cases import MACHINE as MACHINE, RATED as RATED, WHOLE as WHOLE
 from rvjax.loaded.equilibrium import (
-    BearingForces as BearingForces,
     Equilibria as Equilibria,
     Loaded,
-    bearing_forces as bearing_forces,
+    admit as admit,
+    check_input as check_input,
     equilibria as equilibria,
     equilibrium,
+    named_forces as named_forces,
 )
-from rvjax.loaded.kinds import admit as admit, check_input as check_input, named_forces as named_forces
 from rvjax.loaded.laws import CONTACTS as CONTACTS
 from rvjax.loaded.observation import (
     HEAD_PARTS as HEAD_PARTS,
@@ -33,8 +33,10 @@ from rvjax.loaded.observation import (
     ways as ways,
 )
 from rvjax.loaded.revolution import (
+    BearingForces as BearingForces,
     Clearance,
     Revolution,
+    bearing_forces as bearing_forces,
     clearance,
     instants as instants,
     revolution,

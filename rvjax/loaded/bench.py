@@ -19,9 +19,8 @@ from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
 from rvjax.loaded.case import at_output, output_rotation, solve
-from rvjax.loaded.equilibrium import Loaded
+from rvjax.loaded.equilibrium import Loaded, admit, check_input, prepare
 from rvjax.loaded.geometry import Geometry, Turn, geometry, turn
-from rvjax.loaded.kinds import admit, check_input, prepare
 from rvjax.loaded.newton import Minimum
 from rvjax.loaded.system import Layout
 from rvjax.records import Array, PyTree, Record, Scalar, field, is_concrete, quantity, record

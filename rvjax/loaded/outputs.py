@@ -20,8 +20,7 @@ from rvjax.errors import RVErrors
 from rvjax.loaded.bench import secant, twisted
 from rvjax.loaded.case import check_teeth
 from rvjax.loaded.cases import cases
-from rvjax.loaded.equilibrium import equilibrium
-from rvjax.loaded.kinds import check_input
+from rvjax.loaded.equilibrium import check_input, equilibrium
 from rvjax.loaded.observation import (
     CURVE,
     HALF,

@@ -1,6 +1,14 @@
 """Studies: design, tolerances, costs and requirements, in Python or as a TOML file."""
 
-from rvjax.catalogue import BASES, KNOWN_DESIGNS, numbers, shown, walk as walk
+from rvjax.catalogue import (
+    BASES,
+    KNOWN_DESIGNS,
+    fields_of as fields_of,
+    fields_of_kind as fields_of_kind,
+    numbers,
+    shown,
+    walk as walk,
+)
 from rvjax.measured import Conditions, Loop, Measured, Run, read as read_measured
 from rvjax.study.bench import order_name
 from rvjax.study.design import comments as comments, given_numbers as given_numbers, is_assumed as is_assumed
@@ -17,8 +25,6 @@ from rvjax.study.kinds import (
     Start as Start,
     changed as scaled,
     facts_of,
-    fields_of as fields_of,
-    fields_of_kind as fields_of_kind,
     kind_of as kind_of,
     number_at as number_at,
     orders_of as orders_of,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from rvjax import models
 from rvjax.base.words import unknown
-from rvjax.catalogue import accept
+from rvjax.catalogue import accept, fields_of
 from rvjax.levels import Choice, choose
 from rvjax.outputs import Curve, Output
 from rvjax.records import PyTree, Record, Scalar
@@ -26,7 +26,7 @@ from rvjax.study.design import (
 )
 from rvjax.study.goals import Price
 from rvjax.study.identification import Identification
-from rvjax.study.kinds import changed, fields_of, kind_of
+from rvjax.study.kinds import changed, kind_of
 from rvjax.study.response import DesignResponse, Response, check_nominal, followed_bounds
 from rvjax.study.tolerances import Form, forms
 from rvjax.study.values import (

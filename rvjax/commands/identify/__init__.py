@@ -17,13 +17,13 @@ from rvjax.commands.identify.identified import (
     Identified as Identified,
     answer as answer,
     check as check,
+    field_of,
 )
 from rvjax.commands.identify.tables import content, figures, orders_of_parts
 from rvjax.commands.identify.words import (
     Combination,
     combinations as combinations,
     elements as elements,
-    field_of,
     head_of,
     headline as headline,
     in_words as in_words,

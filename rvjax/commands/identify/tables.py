@@ -11,18 +11,16 @@ import numpy as np
 import rvjax
 from rvjax.base.fields import place_of
 from rvjax.commands.cells import measurement_section, measurement_warnings
-from rvjax.commands.identify.identified import Band, Identified
+from rvjax.commands.identify.identified import Band, Identified, field_of, unit_of
 from rvjax.commands.identify.words import (
     combinations,
     doubts,
     elements,
-    field_of,
     head_lines,
     head_of,
     headline,
     next_lines,
     shares_text,
-    unit_of,
     verdict_line,
 )
 from rvjax.identify import mapped_values

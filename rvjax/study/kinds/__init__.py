@@ -10,15 +10,17 @@ from rvjax.mesh_force import largest_roller_radius, undercut_margin
 from rvjax.mounting import unit_errors
 from rvjax.records import PyTree, Record, Scalar
 from rvjax.study.kinds import cycloidal
-from rvjax.study.kinds.following import (
+from rvjax.study.kinds.kind import (
+    Assumed as Assumed,
+    Drawing as Drawing,
+    Kind as Kind,
+    Known as Known,
     Law as Law,
-    fields_of as fields_of,
-    fields_of_kind as fields_of_kind,
+    Start as Start,
     number_at as number_at,
     outside as outside,
     split as split,
 )
-from rvjax.study.kinds.kind import Assumed as Assumed, Drawing as Drawing, Kind as Kind, Known as Known, Start as Start
 from rvjax.study.kinds.rv_facts import (
     DERIVED_FROM,
     FOLLOWING,
