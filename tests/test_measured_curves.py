@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rvjax import catalogue, measured
-from rvjax.base.text import svd
+from rvjax.identify.observation import svd
 from rvjax.measured import findings, judge
 from rvjax.measured.run import legs, places, repetition
 from rvjax.units import arcsec, deg

@@ -11,8 +11,6 @@ from collections.abc import Iterable, Sequence
 from decimal import Decimal
 from pathlib import Path
 
-import numpy as np
-
 from rvjax.base.words import unknown
 from rvjax.units import with_unit
 
@@ -216,21 +214,3 @@ def _usual(cell: str, comma: bool, grouping: str) -> str:
     if mark and re.fullmatch(_GROUPS[mark], text):
         text = text.replace(mark, "").replace(",", ".")
     return text.replace(",", ".") if comma else text
-
-
-def svd(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Left vectors, singular values and right vectors of a matrix.
-
-    The fast driver of LAPACK fails for some matrices whose singular values are equal, such as orders over whole turns;
-    the other one is slower and always converges.
-
-    Args:
-        matrix: (n, p).
-    """
-    try:
-        left, size, right = np.linalg.svd(matrix, full_matrices=False)
-    except np.linalg.LinAlgError:
-        from scipy import linalg
-
-        left, size, right = linalg.svd(matrix, full_matrices=False, lapack_driver="gesvd")
-    return left, size, right

@@ -7,7 +7,7 @@ dict of tolerances.
 from rvjax.identify.batch import Batch, Process, solve_many
 from rvjax.identify.elements import Direction, Identifiability, mapped_values as mapped_values
 from rvjax.identify.goodness_of_fit import MOST_PARETO as MOST_PARETO, Fit as Fit
-from rvjax.identify.observation import Noise, Orders, orders
+from rvjax.identify.observation import Noise, Orders, orders, svd as svd
 from rvjax.identify.planning import Ranking, identifiability, rank_measurements
 from rvjax.identify.posterior import Mode, Posterior
 from rvjax.identify.sampler import Draws, sample

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy
 
-from rvjax.base.text import svd
+from rvjax.identify import svd
 from rvjax.measured.run import Sampling, spectrum
 
 COLLINEAR = 1e-8  # square of the share of a column that others do not explain
