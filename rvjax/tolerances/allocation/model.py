@@ -92,6 +92,7 @@ _STEPS = 80
 _CENTRED, _SHORT = 0.15, 0.995  # part of the gap that a step leaves; of the way to the boundary
 _INSIDE = 1e-2  # of a range, by which a start lies inside it
 _TINY = 1e-11  # curvature of variables that have none
+_FLOOR = 1e-14  # of a span, distance of a variable from its bound, at least: times a price of 1e4 it is no gap
 
 
 @dataclasses.dataclass(frozen=True)
@@ -133,8 +134,8 @@ def minimum(
     bounded = np.isfinite(low).sum() + np.isfinite(high).sum() + len(slack)
     for _ in range(_STEPS):
         here = model(v, prices)
-        under = np.where(np.isfinite(low), np.maximum(v - low, _TINY * span), 1.0)
-        over = np.where(np.isfinite(high), np.maximum(high - v, _TINY * span), 1.0)
+        under = np.where(np.isfinite(low), np.maximum(v - low, _FLOOR * span), 1.0)
+        over = np.where(np.isfinite(high), np.maximum(high - v, _FLOOR * span), 1.0)
         gap = float(slack @ prices + under @ below + over @ above) / max(bounded, 1)
         off = here.slopes - here.jacobian.T @ prices - below + above
         missed = here.rows - slack
