@@ -12,6 +12,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 
+import jax.numpy as jnp
 import numpy as np
 
 from rvjax.tolerances.allocation.constraints import Constraints
@@ -131,6 +132,7 @@ def minimum(
     below, above = (
         np.where(np.isfinite(end), 0.1 / np.maximum(np.abs(end - v), 1e-3 * span), 0.0) for end in (low, high)
     )
+    rounding = max(ROUNDING, 10 * float(np.finfo(jnp.result_type(float)).eps))  # costs may be in float32
     bounded = np.isfinite(low).sum() + np.isfinite(high).sum() + len(slack)
     for _ in range(_STEPS):
         here = model(v, prices)
@@ -139,7 +141,7 @@ def minimum(
         gap = float(slack @ prices + under @ below + over @ above) / max(bounded, 1)
         off = here.slopes - here.jacobian.T @ prices - below + above
         missed = here.rows - slack
-        if max(gap, float(np.abs(off).max()), float(np.abs(missed).max(initial=0.0))) < ROUNDING:
+        if max(gap, float(np.abs(off).max()), float(np.abs(missed).max(initial=0.0))) < rounding:
             break
         aim = _CENTRED * gap
         to_rows = (aim - slack * prices - prices * missed) / slack
