@@ -7,7 +7,7 @@
     python -m benchmarks.optima --seeds 3                         spread of the ratio over seeds of the quick rows
 
 Gates: no cost more than 0.3 % above the frozen one, no status worse, no result called optimal below a known optimum,
-every certificate of a study holds on 16,384 other units, CPU seconds of the studies at most 25 % above the frozen ones.
+no target of a study above the interval of its share of 16,384 other units, CPU seconds of the studies at most 25 % above the frozen ones.
 CPU seconds count only if nothing else ran on the computer during either run. Quick rows run twice in this process and
 the second run is timed. Studies and `rv-0` run once in their own process with kept programs, and again where they first
 had to compile these.
@@ -87,12 +87,12 @@ def solved(problem: Problem, seed: int | None, runs: int) -> Row:
     return row | ({"fresh": fresh(first[0], first[2], found)} if problem.kind == "study" else {})
 
 
-def fresh(response: Response, requirements: Any, found: Allocation) -> dict[str, tuple[float, float]]:
-    """Share of other units that keep each limit of a result, and its target."""
+def fresh(response: Response, requirements: Any, found: Allocation) -> dict[str, tuple[float, float, float]]:
+    """Share of other units that keep each limit of a result, the upper end of its interval, and the target."""
     population = Population.of(found.tolerances).replace(values=found.values or None)
     limits = {name: item for name, item in requirements.items() if item.of_shares}
     run = Run(response, population, response_names(response, population), limits, FRESH, FRESH_SEED, BLOCK, keep=False)
-    return {name: (share.value, limits[name].target) for name, share in run.statistics().yield_.items()}
+    return {name: (share.value, share.upper, limits[name].target) for name, share in run.statistics().yield_.items()}
 
 
 def figures(problem: Problem, found: Allocation, optimum: float, exact: dict[str, float]) -> Row:
@@ -154,7 +154,7 @@ def shown(name: str, row: Row) -> str:
                     ((100 * max(errors) if errors else None, 1), (row["ratio"], 4)))  # fmt: skip
     line = f"{name:36} {row['status']:14} {row['cost']:9.5g} {ratio:>7} {price:>7} {row['units']:11,} "
     line += f"{row['gradients']:9,} {row['seconds']:6.2f}{'' if quiet(row) else ' *'}"
-    return line + "".join(f" {name} {100 * share:.3f}" for name, (share, _) in row.get("fresh", {}).items())
+    return line + "".join(f" {name} {100 * share:.3f}" for name, (share, *_) in row.get("fresh", {}).items())
 
 
 def quiet(row: Row) -> bool:
@@ -182,7 +182,8 @@ def failures(new: Row, old: Row) -> list[str]:
     if certified(new) and new["ratio"] is not None and new["ratio"] < BELOW:
         found.append(f"certified at {new['ratio']:.4f} of the optimum")
     if certified(new):
-        found += [f"{n}: {x:.5f} of other units for {aim}" for n, (x, aim) in new.get("fresh", {}).items() if x < aim]
+        shares = new.get("fresh", {}).items()
+        found += [f"{n}: {share:.5f} of other units for {aim}" for n, (share, upper, aim) in shares if upper < aim]
     if old["kind"] == "study" and quiet(new) and quiet(old) and new["seconds"] > SLOWER * old["seconds"]:
         found.append(f"CPU seconds {100 * (new['seconds'] / old['seconds'] - 1):.0f} % above")
     return found
