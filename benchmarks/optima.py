@@ -7,10 +7,10 @@
     python -m benchmarks.optima --seeds 3                         spread of the ratio over seeds of the quick rows
 
 Gates: no cost more than 0.3 % above the frozen one, no status worse, no result called optimal below a known optimum,
-no target of a study above the interval of its share of 16,384 other units, CPU seconds of the studies at most 25 % above the frozen ones.
-CPU seconds count only if nothing else ran on the computer during either run. Quick rows run twice in this process and
-the second run is timed. Studies and `rv-0` run once in their own process with kept programs, and again where they first
-had to compile these.
+no target of a study above the interval of its share of 16,384 other units, CPU seconds of the studies at most 25 %
+above the frozen ones. CPU seconds count only if nothing else ran on the computer during either run. Quick rows run
+twice in this process and the second run is timed. Studies and `rv-0` run once in their own process with kept programs,
+and again where they first had to compile these.
 """
 
 import argparse
