@@ -16,8 +16,7 @@ PICTURES = Path(__file__).parent / "pictures"
 
 def answer() -> None:
     """Draw the result of the embedded study: two requirements before and after, and the cost of the tolerances."""
-    from rvjax.commands.allocate.answer import answer
-    from rvjax.commands.allocate.stored_result import restored_from
+    from rvjax.commands.allocate.answer import answer, restored_from
 
     question = study.load("rv-40e-whole", solve=False)
     found = restored_from(question)[1] or answer(question)

@@ -286,6 +286,30 @@ def walk(record: "DataclassInstance", prefix: str = "") -> Iterator[tuple[str, P
             yield prefix + f.name, value, f.metadata
 
 
+def fields_of(record: PyTree, prefix: str = "") -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """(path, metadata) of every number of a design, also of those without a value."""
+    for f in dataclasses.fields(record):
+        value, about = getattr(record, f.name), f.metadata
+        if about["kind"] == "record":
+            yield from fields_of(value, f"{prefix}{f.name}.") if value is not None else ()
+        else:
+            yield prefix + f.name, about
+
+
+def fields_of_kind(cls: type, prefix: str = "") -> Iterator[tuple[str, Mapping[str, Any], object]]:
+    """(path, metadata, default) of every number that a design may have.
+
+    Args:
+        cls: of designs, or of a part.
+        prefix: of the paths.
+    """
+    for f in dataclasses.fields(cls):
+        if f.metadata["kind"] == "record":
+            yield from fields_of_kind(part_class(cls, f.name), f"{prefix}{f.name}.")
+        else:
+            yield prefix + f.name, f.metadata, f.default
+
+
 def shown(value: Scalar, unit: str) -> str:
     """A number with the largest unit in which it is at least one; a speed in revolutions per minute.
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from rvjax import Contact, CrankStage, CycloidStage, InvoluteStage, RVErrors, RVReducer, Status, Stiffness, loaded
 from rvjax.errors import described
-from rvjax.loaded.kinds import check_input
+from rvjax.loaded.equilibrium import check_input
 
 equilibrium = sys.modules["rvjax.loaded.equilibrium"]  # a function hides it
 

@@ -16,7 +16,7 @@ from cycloidal_cases import dictionaries
 from rvjax import cli, compensation, study
 from rvjax.assembly import plan
 from rvjax.commands.assemble import Price, _others as others, _price_plot as price_plot, bench, prices
-from rvjax.commands.assemble.prices import price_table
+from rvjax.commands.assemble.matching import price_table
 from rvjax.commands.compensate import corrections
 from rvjax.units import arcsec, um
 from tests.oracles import cycloidal as oracle

@@ -11,15 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rvjax import RVErrors, catalogue, loaded
+from rvjax import RVErrors, catalogue, commands, loaded
 from rvjax._jax import sizes
 from rvjax._jax.kernels import settle
-from rvjax.commands import console
 from rvjax.mesh_force.equilibrium import equilibrium
 from rvjax.mesh_force.geometry import Case
 from rvjax.population import Population, Tolerance
 from rvjax.records import Record, field, record
-from rvjax.response import Evaluator, devices, solving, units_devices, units_on
+from rvjax.response import Evaluator, derivatives, units_devices, units_on
+from rvjax.response.response import mesh_of
 
 CASES = 96  # equilibria: more than one block of a processor
 
@@ -108,12 +108,12 @@ def test_calls_of_a_gpu_are_larger_and_give_the_same(monkeypatch, platform, solv
 
     errors = np.random.default_rng(0).normal(size=(2, 300))
     take = lambda units: jnp.asarray(errors[:, units])  # noqa: E731
-    monkeypatch.setattr(solving, "units_devices", lambda: [SimpleNamespace(platform=platform)])
+    monkeypatch.setattr(derivatives, "units_devices", lambda: [SimpleNamespace(platform=platform)])
     for name in ("_solved", "_pulled"):
-        monkeypatch.setattr(solving, name, noting(getattr(solving, name)))
+        monkeypatch.setattr(derivatives, name, noting(getattr(derivatives, name)))
     response = Costly(2.0)
-    values, status, state = solving.solution(response, POPULATION, 300, take)
-    slopes = solving.pulls(response, POPULATION, errors, state, np.ones((1, 300)))
+    values, status, state = derivatives.solution(response, POPULATION, 300, take)
+    slopes = derivatives.pulls(response, POPULATION, errors, state, np.ones((1, 300)))
     assert seen == [solved] * -(-300 // solved) + [sloped] * -(-300 // sloped)
     np.testing.assert_allclose(values[0], 2 * np.sin(errors[0]) + errors[1] ** 2, rtol=1e-14)
     np.testing.assert_allclose(slopes, [2 * np.cos(errors[0]), 2 * errors[1]], rtol=1e-14)
@@ -126,9 +126,9 @@ def test_units_go_to_the_devices_that_are_named_and_nothing_else_does():
     of_chunk = lambda: Evaluator(lambda e: e["a"] + e["b"], POPULATION, 0, "random", 50).start(0)[0][""]  # noqa: E731
     plain = of_chunk()
     with units_on(here):
-        assert units_devices() == here and devices.mesh_of(256) is None
+        assert units_devices() == here and mesh_of(256) is None
         placed = of_chunk()
-        (solved,) = solving.solve(Costly(2.0), POPULATION, 5, lambda units: jnp.zeros((2, len(units))))
+        (solved,) = derivatives.solve(Costly(2.0), POPULATION, 5, lambda units: jnp.zeros((2, len(units))))
         assert not jnp.zeros(3).committed
     assert placed.committed and not plain.committed and solved.values["y"].shape == (5,)
     np.testing.assert_array_equal(placed, plain)
@@ -159,21 +159,21 @@ def test_many_units_go_to_a_gpu_unless_a_platform_is_named(monkeypatch, named, t
     before = jax.local_devices
     monkeypatch.setenv("JAX_PLATFORMS", named or "")
     monkeypatch.setattr(jax, "local_devices", local)
-    with console.units_placed(lambda: seconds) as device:
+    with commands.units_placed(lambda: seconds) as device:
         assert device == due and units_devices() == (there if due.startswith("H100") else before())
     assert units_devices() == before()
 
 
 def test_only_commands_with_many_units_may_start_a_gpu(monkeypatch):
-    monkeypatch.setattr(console, "find_spec", lambda _: "installed")
-    assert console.may_use_gpu("montecarlo", 1) and console.may_use_gpu("allocate", 1)
-    assert not console.may_use_gpu("check", 1) and not console.may_use_gpu("montecarlo", 3)
-    monkeypatch.setattr(console, "find_spec", lambda _: None)
-    assert not console.may_use_gpu("montecarlo", 1)
+    monkeypatch.setattr(commands, "find_spec", lambda _: "installed")
+    assert commands.may_use_gpu("montecarlo", 1) and commands.may_use_gpu("allocate", 1)
+    assert not commands.may_use_gpu("check", 1) and not commands.may_use_gpu("montecarlo", 3)
+    monkeypatch.setattr(commands, "find_spec", lambda _: None)
+    assert not commands.may_use_gpu("montecarlo", 1)
 
 
 @pytest.mark.parametrize(("there", "due"), [("cpu", ""), ("gpu", "rvjax: units on the H100\n")])
 def test_a_command_says_where_units_are_if_there_is_a_choice(monkeypatch, capsys, there, due):
     monkeypatch.setattr(jax, "local_devices", lambda: [SimpleNamespace(platform=there)])
-    console.tell("the H100")
+    commands.tell("the H100")
     assert capsys.readouterr().err == due

@@ -12,9 +12,9 @@ import pytest
 
 from rvjax import catalogue, cli, designs, study
 from rvjax.commands import check
-from rvjax.commands.forecast import expected, forewarn
+from rvjax.commands.check import expected, forewarn
 from rvjax.commands.init import written
-from rvjax.study.doubts import doubts
+from rvjax.study.design import doubts
 from rvjax.units import mm
 
 GOOD = (resources.files("rvjax.study") / "embedded" / "rv-40e.toml").read_text("utf-8")

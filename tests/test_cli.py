@@ -122,7 +122,7 @@ def test_small_work_stays_on_the_processor_unless_a_platform_is_named(monkeypatc
     if given is not None:
         monkeypatch.setenv("JAX_PLATFORMS", given)
     try:
-        importlib.import_module("rvjax.cli.main")._prepare(gpu=gpu)
+        importlib.import_module("rvjax.cli")._prepare(gpu=gpu)
         assert os.environ.get("JAX_PLATFORMS") == platforms
         assert jax.config.values["jax_default_device"] == default
         assert os.environ["XLA_PYTHON_CLIENT_PREALLOCATE"] == "false"
@@ -132,5 +132,5 @@ def test_small_work_stays_on_the_processor_unless_a_platform_is_named(monkeypatc
 
 def test_memory_of_a_gpu_is_taken_in_advance_where_the_user_says_so(monkeypatch):
     monkeypatch.setenv("XLA_PYTHON_CLIENT_PREALLOCATE", "true")
-    importlib.import_module("rvjax.cli.main")._prepare()
+    importlib.import_module("rvjax.cli")._prepare()
     assert os.environ["XLA_PYTHON_CLIENT_PREALLOCATE"] == "true"

@@ -14,10 +14,10 @@ from cli_study import PICTURES, SMALL, TARGET, UNITS
 
 import rvjax
 import rvjax.commands.allocate.answer
-from rvjax import cli
-from rvjax.commands.allocate import report_on, stored_result
+from rvjax import cli, render
+from rvjax.commands.allocate import answer, report_on
 from rvjax.commands.budget.budgets import scalar_budget
-from rvjax.commands.forecast import (
+from rvjax.commands.check import (
     CERTIFICATES,
     CERTIFYING,
     PASSES,
@@ -26,7 +26,7 @@ from rvjax.commands.forecast import (
     SEARCHING,
     solved_units,
 )
-from rvjax.render import Report, report, results_folder, write_files
+from rvjax.render import Report, results_folder, write_files
 from rvjax.tolerances import QUICK, units_of
 from rvjax.units import arcmin, um
 
@@ -185,8 +185,8 @@ def test_an_unchanged_study_is_answered_from_its_folder(answered, undrawn, here,
         result.write_text(json.dumps(change))
         assert cli.main(["allocate", *arguments, "--quiet"]) == 2
         assert "computed anew" in capsys.readouterr().err
-    assert stored_result._names_files({"tolerances": {"x": {"values": [{"file": "a.csv"}]}}})
-    assert not stored_result._names_files({"tolerances": {"x": {"values": [1, "file"]}}})
+    assert answer._names_files({"tolerances": {"x": {"values": [{"file": "a.csv"}]}}})
+    assert not answer._names_files({"tolerances": {"x": {"values": [1, "file"]}}})
 
 
 def test_a_fresh_result_takes_the_place_of_the_stored_one(answers, undrawn, here, capsys, monkeypatch):
@@ -209,7 +209,7 @@ def test_a_fresh_result_takes_the_place_of_the_stored_one(answers, undrawn, here
     for owner, name, bad in (
         (rvjax.commands.allocate.answer, "answer", fails),
         (Report, "json", fails),
-        (report, "os", swap),
+        (render, "os", swap),
     ):
         stale()
         with monkeypatch.context() as patch:

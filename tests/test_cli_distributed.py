@@ -15,7 +15,7 @@ from scale_study import bits, run
 from test_cli_montecarlo import SMALL, assert_same
 
 from rvjax import cli, study
-from rvjax.response import devices
+from rvjax.response import Evaluator
 from rvjax.tolerances import load, monte_carlo
 from rvjax.tolerances.batch.run import Run
 from rvjax.tolerances.batch.shares import Chunks, Folder, take
@@ -119,8 +119,8 @@ def three(folder, samples=9000, **options):
 
 @pytest.mark.parametrize("options", [{}, {"method": "sobol"}, {"keep": True}, {"samples": 3500}])
 def test_three_processes_give_the_bits_of_one_and_each_evaluates_its_share(tmp_path, monkeypatch, options):
-    expected, begun, start = run(**options), [], devices.Evaluator.start
-    monkeypatch.setattr(devices.Evaluator, "start", lambda self, first: begun.append(first) or start(self, first))
+    expected, begun, start = run(**options), [], Evaluator.start
+    monkeypatch.setattr(Evaluator, "start", lambda self, first: begun.append(first) or start(self, first))
     assert [bits(each) for each in three(tmp_path, **options)] == [bits(expected)] * 3
     assert sorted(begun) == list(range(0, options.get("samples", 9000), 1000))
     assert [file.name for file in tmp_path.iterdir()] == ["c"]

@@ -11,8 +11,7 @@ import jax
 import numpy as np
 import pytest
 
-from rvjax import cli, study
-from rvjax.commands import console
+from rvjax import cli, commands, study
 from rvjax.commands.montecarlo import batch
 from rvjax.tolerances import load, monte_carlo, origin
 
@@ -137,13 +136,13 @@ def test_an_interrupted_batch_says_how_to_go_on(here, capsys, monkeypatch):
 def test_each_core_is_a_device_unless_told_otherwise(monkeypatch, cores, processes, devices):
     told = {}
     monkeypatch.setattr(jax.config, "update", told.__setitem__)
-    monkeypatch.setattr(console.os, "sched_getaffinity", lambda _: set(range(cores)), raising=False)
+    monkeypatch.setattr(commands.os, "sched_getaffinity", lambda _: set(range(cores)), raising=False)
     monkeypatch.delenv("JAX_NUM_CPU_DEVICES")
-    console.share_cores(processes)
+    commands.share_cores(processes)
     assert told == {"jax_num_cpu_devices": devices}
     for name, value in (("JAX_NUM_CPU_DEVICES", "1"), ("XLA_FLAGS", "--xla_force_host_platform_device_count=2")):
         with monkeypatch.context() as patch:
             patch.setenv(name, value)
             told.clear()
-            console.share_cores(processes)
+            commands.share_cores(processes)
             assert not told

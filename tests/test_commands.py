@@ -10,8 +10,8 @@ from rvjax import cli, commands, study
 MODULE = """
 from dataclasses import dataclass
 from rvjax import study
-from rvjax.commands.console import READING, WRITING
-from rvjax.commands.inputs import Inputs, results_option, study_argument
+from rvjax.commands import READING, WRITING
+from rvjax.commands import Inputs, results_option, study_argument
 from rvjax.render import Figure, Interval, Note, Number, Quantity, Report, Table, Text, results_folder
 
 @dataclass(kw_only=True)

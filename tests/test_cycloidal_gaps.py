@@ -10,7 +10,7 @@ from cycloidal_cases import NAMED, design_of, dictionaries, drawn, errors_of
 from rvjax import CycloidalErrors, RVErrors, loaded
 from rvjax.loaded.cycloidal import drive_laws
 from rvjax.loaded.cycloidal_gaps import Unknowns, drive_at, drive_gaps, drive_rows
-from rvjax.loaded.kinds import check_input
+from rvjax.loaded.equilibrium import check_input
 from rvjax.units import um
 from tests.oracles import cycloidal as oracle
 

@@ -6,7 +6,7 @@ import pytest
 from cycloidal_cases import NAMED, SAMPLES, design_of, dictionaries, fits
 
 from rvjax import CycloidalErrors, Status, catalogue, geometry
-from rvjax.geometry.figures import largest_share
+from rvjax.geometry.outputs import largest_share
 from rvjax.loaded import unchecked
 from rvjax.units import GPa, mm, um
 from tests.oracles import cycloidal as oracle

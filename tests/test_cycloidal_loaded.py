@@ -38,7 +38,7 @@ from rvjax import (
 from rvjax.catalogue import RV_40E_WHOLE as rv
 from rvjax.geometry import squared_pressure
 from rvjax.loaded import laws, unchecked
-from rvjax.loaded.kinds import prepare
+from rvjax.loaded.equilibrium import prepare
 from rvjax.status import Status, succeeded
 from tests.oracles import cycloidal as oracle
 

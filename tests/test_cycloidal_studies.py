@@ -18,7 +18,7 @@ from scipy import stats
 from rvjax import cli, levels, models, study
 from rvjax.catalogue import CYCLOIDAL_17, CYCLOIDAL_29
 from rvjax.commands import allocate, init, montecarlo
-from rvjax.commands.budget import budgets, tables
+from rvjax.commands.budget import budgets, report_on_scalar
 from rvjax.study.kinds import cycloidal, facts_of
 from rvjax.study.response import Response
 from rvjax.tolerances import Tolerance, monte_carlo
@@ -200,7 +200,7 @@ def test_every_result_has_the_line_on_its_clearances(monkeypatch):
     sampled = monte_carlo(response, made.tolerances, samples=16, seed=0, requirements=made.requirements)
     assert "Inaccurate: clearance up to 65 um of the flanks: above" in montecarlo.report_on(sampled, made).text()
     budget = budgets.scalar_budget(made, "hole_force", samples=16)
-    assert "Inaccurate: clearance up to 65 um of the flanks: above" in tables.report_on_scalar(budget, made).text()
+    assert "Inaccurate: clearance up to 65 um of the flanks: above" in report_on_scalar(budget, made).text()
     looser = made.tolerances.replace(equidistant_modification=Tolerance.symmetric(3 * um))
     answer = SimpleNamespace(
         study=made, allocation=SimpleNamespace(tolerances=looser), after=SimpleNamespace(values={}), whole=None

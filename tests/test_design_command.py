@@ -12,7 +12,7 @@ from cli_study import one_start
 from codesign_cases import CASES, reference_study
 
 from rvjax import cli, study
-from rvjax.commands.allocate import stored_result
+from rvjax.commands.allocate import answer
 from rvjax.commands.design.optimum import geometry_first
 from rvjax.tolerances import Memo, Nominal, Variable, allocate
 from rvjax.tolerances.allocation import sample
@@ -243,7 +243,7 @@ def test_a_killed_command_continues_from_its_journal(designed, tmp_path, monkeyp
     """Killed at its tenth gradient, it computes none of the nine again, and ends as a run that was never killed."""
     study_file, out, journal = designed[1].with_name("small.toml"), tmp_path / "out", tmp_path / "out.part"
     call = ["design", str(study_file), "--alone", "--results", str(out), "--quiet"]
-    monkeypatch.setattr(stored_result, "memo", lambda study, place: Memo(place.with_name("out.part"), {}, worth=0.0))
+    monkeypatch.setattr(answer, "memo", lambda study, place: Memo(place.with_name("out.part"), {}, worth=0.0))
     plain, asked = sample.gradients, []
 
     def killed(response, population, errors, cotangents, names):

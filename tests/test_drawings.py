@@ -20,7 +20,7 @@ from rvjax.commands.cells import limits_of
 from rvjax.commands.design import prices as design_prices
 from rvjax.commands.report import response_surface, sliders as page_sliders
 from rvjax.render import Limits
-from rvjax.study import rewrite
+from rvjax.study import reader
 from rvjax.study.tolerances import FORMS, forms
 from rvjax.tolerances import Tolerance
 from rvjax.units import um
@@ -223,7 +223,7 @@ def test_the_study_that_a_slider_saves_has_the_words_of_the_drawing(answer, slid
 
 def test_the_radius_of_a_ring_is_written_in_its_table(asked):
     fields = [name for name in asked.fields if name != "carrier_bore"]
-    parts = rewrite.template(PLACED, asked.requirements, fields)
+    parts = reader.template(PLACED, asked.requirements, fields)
     assert "".join(part if isinstance(part, str) else part["own"] for part in parts) == PLACED
     gaps = {fields[part["field"]]: part["own"] for part in parts if not isinstance(part, str) and "field" in part}
     assert gaps["pin_radii"] == 'radius = "1 um" # of every pin\n'

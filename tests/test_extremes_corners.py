@@ -16,7 +16,7 @@ import rvjax
 from rvjax import LinkDeviations, RVErrors, Status, catalogue, four_bar, lost_motion, roots
 from rvjax._jax.elementary import LARGEST_ANGLE
 from rvjax.designs import CrankStage
-from rvjax.lost_motion.flank import Flank, free_rotation
+from rvjax.lost_motion.terms import Flank, free_rotation
 from rvjax.mesh_force import laws
 from tests.oracles import cam_roller
 

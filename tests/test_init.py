@@ -13,7 +13,7 @@ from rvjax.commands.allocate import shortfalls
 from rvjax.commands.init import written
 from rvjax.life import dynamic_rating, static_rating
 from rvjax.study.kinds import changed, number_at
-from rvjax.study.kinds.rv.facts import LAWS
+from rvjax.study.kinds.rv_facts import LAWS
 from rvjax.units import arcmin, mm, rpm, um
 
 BASES = ["rv-20e", "rv-40e", "rv-40e-whole", "rv-80e", "rv-320e"]

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from rvjax import levels, lost_motion, models, study
-from rvjax.commands import forecast
+from rvjax.commands import check
 from rvjax.levels.choice import design_numbers, reach
 from rvjax.levels.measure import evaluate, limits
 from rvjax.levels.table import Level, Model, Table, stored
@@ -208,7 +208,7 @@ def test_a_study_says_what_its_level_leaves_out():
         (narrow, "error below 1.5 arcmin; not modelled"),
     ):
         asked = study.parse_study(text, name="x", solve=False)
-        assert words in next(line for line in forecast.level_lines(asked) if line.startswith(NAME))
+        assert words in next(line for line in check.level_lines(asked) if line.startswith(NAME))
 
 
 @pytest.mark.long

@@ -16,9 +16,8 @@ from life_cases import BASIC, NAMED, unit_of
 
 from rvjax import RVErrors, Status, catalogue, life, study
 from rvjax._jax.exported import SUFFIX
-from rvjax.commands.report import lives
-from rvjax.commands.report.bearings import bearing_section
-from rvjax.commands.report.lives import TORQUES, Lives, lives_if_any
+from rvjax.commands.report import bearings
+from rvjax.commands.report.bearings import TORQUES, Lives, bearing_section, lives_if_any
 from rvjax.life.rating import Orders
 from rvjax.loaded import BearingForces
 from rvjax.render import Figure, Note, Table
@@ -185,7 +184,7 @@ def test_lives_are_those_of_the_units_and_their_programs_are_kept(question, kept
 
     monkeypatch.setattr(life, "rating", rating)
     monkeypatch.setattr(life, "force_orders", orders)
-    monkeypatch.setattr(lives, "_of_units", per_response()(lives._of_units.__wrapped__))
+    monkeypatch.setattr(bearings, "_of_units", per_response()(bearings._of_units.__wrapped__))
     duty, given, units = np.asarray(question.conditions.duty), question.tolerances, 6
     phases, torque = len(duty), np.abs(duty[:, 0]).max()
     found = lives_if_any(question, given, units=units)

@@ -12,8 +12,7 @@ from rvjax import Status, loaded
 from rvjax._jax.sizes import Size
 from rvjax.loaded import balance, newton
 from rvjax.loaded.case import solve as solve_from
-from rvjax.loaded.equilibrium import outcome
-from rvjax.loaded.kinds import admit, check_input, prepare
+from rvjax.loaded.equilibrium import admit, check_input, outcome, prepare
 
 CASE = NAMED["rv40: all errors, rated, hertz"]
 DESIGN = design_of(CASE)

@@ -16,7 +16,7 @@ from rvjax.identify.elements import mapped
 from rvjax.identify.identification import Problem
 from rvjax.identify.posterior import contributions
 from rvjax.loaded import observation, outputs
-from rvjax.loaded.kinds import check_input
+from rvjax.loaded.equilibrium import check_input
 from rvjax.measured import Conditions
 from rvjax.study import bench
 from rvjax.tolerances import Tolerance

@@ -24,7 +24,7 @@ from loaded_turns import (
 
 import rvjax
 from rvjax import Status, loaded
-from rvjax.loaded.kinds import admit, check_input, prepare
+from rvjax.loaded.equilibrium import admit, check_input, prepare
 from rvjax.loaded.rv import pin_compliance
 from rvjax.published.rv160 import MACHINE, NONE
 from rvjax.units import arcsec, mm

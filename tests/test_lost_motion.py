@@ -14,7 +14,7 @@ import rvjax
 from rvjax import RVErrors, Status
 from rvjax.catalogue import RV_20E, RV_20E_ERRORS
 from rvjax.lost_motion import geometric, shaft_tilt
-from rvjax.lost_motion.reducer import PROFILES
+from rvjax.lost_motion.outputs import PROFILES
 from rvjax.units import arcmin, deg, mm, um
 
 

@@ -16,7 +16,7 @@ from rvjax import RVErrors
 from rvjax.catalogue import RV_20E, RV_20E_ERRORS
 from rvjax.errors import read_by
 from rvjax.lost_motion import geometric
-from rvjax.lost_motion.reducer import PROFILES
+from rvjax.lost_motion.outputs import PROFILES
 from rvjax.units import arcmin, mm, um
 
 READ = read_by(RVErrors, "lost_motion")

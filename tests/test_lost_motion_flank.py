@@ -17,7 +17,7 @@ from lost_motion_cases import solve as solve_reducer
 
 from rvjax import RVErrors
 from rvjax.catalogue import RV_20E
-from rvjax.lost_motion import flank as flanks, geometric
+from rvjax.lost_motion import geometric, terms as flanks
 from rvjax.units import arcmin, mm, um
 
 E, RING, TEETH = 0.9 * mm, 52 * mm, 39

@@ -12,7 +12,7 @@ from lost_motion_cases import TRUE_K1, cycloid, solve
 from rvjax import RVErrors, Status
 from rvjax.catalogue import RV_20E, RV_20E_ERRORS
 from rvjax.lost_motion import geometric
-from rvjax.lost_motion.reducer import PROFILES
+from rvjax.lost_motion.outputs import PROFILES
 from rvjax.units import arcmin, deg, mm, um
 
 NAN, INVALID = Status.NONFINITE, Status.INVALID_GEOMETRY

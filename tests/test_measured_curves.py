@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from rvjax import catalogue, measured
-from rvjax.base.numbers import svd
+from rvjax.identify.observation import svd
 from rvjax.measured import findings, judge
-from rvjax.measured.sampling import legs, places, repetition
+from rvjax.measured.run import legs, places, repetition
 from rvjax.units import arcsec, deg
 from tests.measured_cases import NOISE, PARTS, TRUTH, curve, equal, evaluated, noise, run, said
 

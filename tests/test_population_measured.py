@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rvjax import catalogue, tolerances
-from rvjax.population.distributions.empirical import Empirical
+from rvjax.population.distributions import Empirical
 from rvjax.population.measured import _capability
 from rvjax.population.population import Population
 from rvjax.tolerances import (

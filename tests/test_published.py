@@ -218,7 +218,7 @@ def test_reproduce_prints_a_table_with_the_right_values(capsys, monkeypatch, row
 
 
 def test_reproduce_says_which_source_it_computes(capsys, monkeypatch):
-    monkeypatch.setattr(published.ledger, "figures", lambda source: [])
+    monkeypatch.setattr(published, "figures", lambda source: [])
     assert cli.main(["reproduce", "--json"]) == 0
     captured = capsys.readouterr()
     assert json.loads(captured.out) == []

@@ -232,7 +232,7 @@ def test_import_changes_no_setting_touches_no_device_and_is_quick():
         "import sys, jax, rvjax, rvjax.four_bar, rvjax.tolerances\n"
         "from jax._src import xla_bridge\n"
         "assert not jax.config.jax_enable_x64 and not xla_bridge._backends\n"
-        "import rvjax.cli, rvjax.commands.check, rvjax.commands.run\n"
+        "import rvjax.cli, rvjax.commands.check\n"
         "assert not {'scipy.stats', 'matplotlib', 'pandas'} & {*sys.modules}\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -18,11 +18,11 @@ from live_study import PLAY, in_node, played
 
 import rvjax
 from rvjax import study, tolerances
-from rvjax.commands.allocate import full_model_check, stored_result
-from rvjax.commands.allocate.tables import report_on
+from rvjax.commands.allocate import full_model_check, report_on
+from rvjax.commands.allocate.answer import FILE, stored
 from rvjax.commands.report import Shown, page_of, response_surface, sliders
 from rvjax.render import Report
-from rvjax.study import rewrite
+from rvjax.study import reader
 
 
 @pytest.fixture(scope="module")
@@ -196,9 +196,9 @@ upper = '1 arcmin'
 )
 def test_any_way_to_say_a_study_can_be_written_again(text):
     question = study.parse_study(text, name="x", solve=False)
-    parts = rewrite.template(text, question.requirements, question.fields)
+    parts = reader.template(text, question.requirements, question.fields)
     own = "".join(part if isinstance(part, str) else part["own"] for part in parts)
-    assert tomllib.loads(own) == tomllib.loads(text) == tomllib.loads(rewrite.canonical(tomllib.loads(text)))
+    assert tomllib.loads(own) == tomllib.loads(text) == tomllib.loads(reader.canonical(tomllib.loads(text)))
     gaps = [part for part in parts if not isinstance(part, str)]
     assert len(gaps) == len(question.fields) + len(question.requirements)
     if text is not SAID_OTHERWISE and '"half_width"' not in text:
@@ -308,8 +308,8 @@ def test_the_line_on_the_whole_reducer_is_stored_with_its_result(answered, tmp_p
     )
     beyond = full_model_check.Unlimited(1455e6, share, -np.inf, 2800e6, share, "static safety 2", 512, 0)
     told = dataclasses.replace(answer, whole=line, unlimited={"turn_pin_pressure": beyond})
-    (tmp_path / stored_result.FILE).write_bytes(stored_result.stored(told))
-    loaded = tolerances.load(tmp_path / stored_result.FILE)
+    (tmp_path / FILE).write_bytes(stored(told))
+    loaded = tolerances.load(tmp_path / FILE)
     assert full_model_check.Whole(**loaded["whole"]) == line
     assert full_model_check.Unlimited(**loaded["unlimited"]["turn_pin_pressure"]) == beyond
     report = report_on(told)

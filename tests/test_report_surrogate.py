@@ -10,9 +10,9 @@ from live_study import FEW
 
 import rvjax
 from rvjax import tolerances
-from rvjax.commands.forecast import SHOWN_VALUES
+from rvjax.commands.check import SHOWN_VALUES
 from rvjax.commands.report import region, response_surface, sliders
-from rvjax.response import solving
+from rvjax.response import derivatives
 from rvjax.response.response import BLOCK
 
 UNITS = 2 * BLOCK
@@ -183,8 +183,8 @@ def test_a_costly_linear_response_is_met_by_the_derivatives_alone():
 
 def test_costly_units_are_solved_once_for_all_outputs(monkeypatch):
     """At x = 0 and at three places for the surrogate of two outputs, and some of them at each point of the checks."""
-    solved, solve = [], solving.solve
-    monkeypatch.setattr(solving, "solve", lambda r, p, count, e: solved.append(count) or solve(r, p, count, e))
+    solved, solve = [], derivatives.solve
+    monkeypatch.setattr(derivatives, "solve", lambda r, p, count, e: solved.append(count) or solve(r, p, count, e))
     both = lambda errors: costly_bent(errors) | {"z": linear(errors)["y"]}  # noqa: E731
     both.costly = True
     given = made(both, 6.0, z=14e-6)

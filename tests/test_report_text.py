@@ -16,11 +16,10 @@ from matplotlib.axes import Axes
 
 from rvjax import Status
 from rvjax.commands import allocate
+from rvjax.commands.allocate import losses_of
 from rvjax.commands.allocate.tables import _Price
-from rvjax.commands.allocate.texts import losses_of
-from rvjax.commands.cells import condition_text, evaluated, failures_text, price_text, share
+from rvjax.commands.cells import against_limit, condition_text, evaluated, failures_text, price_text, share
 from rvjax.commands.montecarlo import report_on
-from rvjax.commands.report.worst_units import against_limit
 from rvjax.outputs import Output
 from rvjax.population.estimates import Estimate
 from rvjax.render import Figure, saved

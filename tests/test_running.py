@@ -144,7 +144,7 @@ def test_the_back_driving_torque_divides_what_locks_from_what_turns():
 
 def searched(friction):
     """The search for a back-driving torque with a friction of a closed form; beyond `most` an equilibrium fails."""
-    module = sys.modules["rvjax.running.back_driving"]
+    module = sys.modules["rvjax.running.bench"]
 
     def resisting(plan, sign, given, x, start):
         status = jnp.where(x > given.bearings, int(Status.CONTACT_OVERLOAD), 0)

@@ -12,7 +12,7 @@ from rvjax import study
 from rvjax.catalogue import RV_320E
 from rvjax.study.goals import refuse_variable
 from rvjax.study.kinds import changed, number_at, outside
-from rvjax.study.kinds.rv.facts import FOLLOWING, LAWS
+from rvjax.study.kinds.rv_facts import FOLLOWING, LAWS
 from rvjax.units import mm
 
 CASES = json.loads((Path(__file__).parent / "reference" / "codesign.json").read_text())["cases"]

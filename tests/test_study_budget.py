@@ -17,7 +17,7 @@ import pytest
 
 from rvjax import RVErrors, cli, four_bar, plotting, study
 from rvjax.base import progress
-from rvjax.commands.budget import budgets, effects, error_budget, report_on, section_on, tables
+from rvjax.commands.budget import budgets, effects, error_budget, report_on, report_on_scalar, section_on
 from rvjax.errors import STAGES
 from rvjax.population import Population, Tolerance, drawn, root_key
 from rvjax.render import Note, Table, write_files
@@ -283,6 +283,6 @@ def test_slopes_of_a_life_are_hours_per_micrometre():
         whole, 6000 * 3600.0, 3600.0, 64, 0,
     )  # fmt: skip
     made = budgets.ScalarBudget("life", found, dict.fromkeys(fields, "disc"))
-    text = tables.report_on_scalar(made, asked).text()
+    text = report_on_scalar(made, asked).text()
     assert "mean 6000 h, standard deviation 1 h" in text and " 250 h/um" in text and "sd h" in text
     assert "5.0 % [2.0, 8.0]" in text and "act together" not in text

@@ -17,7 +17,7 @@ from hypothesis import given, strategies as st
 
 from rvjax import cli
 from rvjax.base.words import refilled, wrapped
-from rvjax.commands.cells import _Slope
+from rvjax.commands.budget.effects import _Slope
 from rvjax.render import Interval, Note, Report, Table, Text, aligned
 from rvjax.render.page import typeset
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from codesign_cases import one_start
 
-from rvjax.response.gradients import pulled
+from rvjax.response.derivatives import pulled
 from rvjax.response.response import respond
 from rvjax.tolerances import (
     Exponential,

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rvjax.commands.cells import influence_share, slope_text, together_text
+from rvjax.commands.budget.effects import influence_share, slope_text, together_text
 from rvjax.outputs import Output
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, Tolerance, influence, influences, rss

@@ -18,7 +18,7 @@ from rvjax._jax.programs import QUICK, understood
 from rvjax.population.population import Population, drawn, root_key
 from rvjax.records import Record, count, field, record
 from rvjax.response import response as module
-from rvjax.response.gradients import pulled
+from rvjax.response.derivatives import pulled
 from rvjax.response.response import PROGRAMS, per_response, respond
 from rvjax.tolerances import (
     ReciprocalPower,

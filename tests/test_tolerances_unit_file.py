@@ -14,7 +14,7 @@ import pytest
 from rvjax import cli, tolerances
 from rvjax.base.files import versions
 from rvjax.population.population import Population
-from rvjax.response import devices
+from rvjax.response import Evaluator
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, Requirement, Tolerance, UnitFile, monte_carlo, sample
 from rvjax.tolerances.batch import unit_file
@@ -83,8 +83,8 @@ def test_responses_added_to_a_checkpoint_without_them(tmp_path, monkeypatch):
         assert getattr(found, name) == getattr(whole, name), name
     for name in ("y", "z"):
         np.testing.assert_array_equal(found.values[name], whole.values[name])
-    started, start = [], devices.Evaluator.start
-    monkeypatch.setattr(devices.Evaluator, "start", lambda self, first: started.append(first) or start(self, first))
+    started, start = [], Evaluator.start
+    monkeypatch.setattr(Evaluator, "start", lambda self, first: started.append(first) or start(self, first))
     again = run(checkpoint=tmp_path / "c", keep=True)
     assert started == [200]
     np.testing.assert_array_equal(again.values["y"], whole.values["y"])
@@ -147,7 +147,7 @@ def test_an_interrupted_run_leaves_no_half_table(tmp_path, monkeypatch):
         raise KeyboardInterrupt
 
     (tmp_path / "u.csv").write_text("older")
-    monkeypatch.setattr(devices.Evaluator, "errors", interrupted)
+    monkeypatch.setattr(Evaluator, "errors", interrupted)
     with pytest.raises(KeyboardInterrupt):
         run(save=UnitFile(tmp_path / "u.csv", errors=True))
     assert [file.name for file in tmp_path.iterdir()] == ["u.csv"] and (tmp_path / "u.csv").read_text() == "older"

@@ -45,7 +45,7 @@ def test_a_page_uses_terms_of_the_field(page):
 
 def test_the_command_line_uses_terms_of_the_field():
     """All help texts."""
-    assert private_words((ROOT / "rvjax" / "cli" / "cli.toml").read_text("utf-8")) == []
+    assert private_words((ROOT / "rvjax" / "cli.toml").read_text("utf-8")) == []
     assert len(COMMANDS) > 10
     for name, line in COMMANDS.items():
         inputs = inputs_of(name)

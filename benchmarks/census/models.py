@@ -13,7 +13,7 @@ from benchmarks.census.loaded import machine
 from benchmarks.census.mesh import mesh
 from benchmarks.census.play import play
 from benchmarks.census.reducer import reducer, turn
-from rvjax.lost_motion.reducer import PROFILES
+from rvjax.lost_motion.outputs import PROFILES
 
 
 def models() -> Iterator[Model]:

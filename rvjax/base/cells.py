@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rvjax.base.encoding import text_of
+from rvjax.base.text import text_of
 from rvjax.units import KNOWN, recognised
 
 DELIMITERS = ";\t,|"

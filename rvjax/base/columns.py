@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from rvjax.base.cells import MARKS, UNITS, Row, listed, narrow, read_cells
-from rvjax.base.encoding import guessed
-from rvjax.base.numbers import grouping_of, has_decimal_comma, last_digit, number_of
+from rvjax.base.text import grouping_of, guessed, has_decimal_comma, last_digit, number_of
 from rvjax.base.words import unknown
 from rvjax.units import intended, recognised, spelling
 

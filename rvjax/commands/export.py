@@ -15,8 +15,17 @@ from rvjax import running, study
 from rvjax._jax.programs import QUICK
 from rvjax.base import progress
 from rvjax.base.files import check_writable
-from rvjax.commands.console import READING, WRITING
-from rvjax.commands.inputs import Inputs, argument, flag_of, option, quiet_option, study_argument, whole_number
+from rvjax.commands import (
+    READING,
+    WRITING,
+    Inputs,
+    argument,
+    flag_of,
+    option,
+    quiet_option,
+    study_argument,
+    whole_number,
+)
 from rvjax.population import Population, drawn, root_key
 from rvjax.records import PyTree, Record, field, record, text
 from rvjax.render import Note, Report, Table, Text

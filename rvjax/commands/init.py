@@ -9,7 +9,7 @@ import numpy as np
 
 from rvjax import catalogue
 from rvjax.base.files import check_writable
-from rvjax.commands.inputs import Inputs, argument, option, switch
+from rvjax.commands import Inputs, argument, option, switch
 from rvjax.records import PyTree
 from rvjax.render import Report
 from rvjax.study import (

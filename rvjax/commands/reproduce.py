@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rvjax import published
-from rvjax.commands.inputs import Inputs, switch
+from rvjax.commands import Inputs, switch
 from rvjax.published import Comparison, show
 from rvjax.render import Note, Report, Table, Text
 

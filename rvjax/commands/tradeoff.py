@@ -7,7 +7,7 @@ from pathlib import Path
 
 import rvjax
 from rvjax import levels
-from rvjax.commands.inputs import Inputs, option, switch
+from rvjax.commands import Inputs, option, switch
 from rvjax.render import Figure, Note, Report, Table, Text, as_json
 
 

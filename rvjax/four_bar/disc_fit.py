@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rvjax._jax.elementary import arctan2, divide, sin_cos
 from rvjax.four_bar.closures import Crank, stretch
@@ -75,7 +76,7 @@ class Turning(NamedTuple):
     """Inputs of the angles of unloaded discs; vectors are complex, at a crank less those at the last crank.
 
     Their mean over the cranks does not turn a disc. So few numbers are left that a derivative passes through them
-    on its way to the errors, and each error is read once; see `settle` in turn.py.
+    on its way to the errors, and each error is read once; see `settle` in extremes.py.
     """
 
     radius: Array
@@ -173,6 +174,59 @@ def first_order_angle(unit: Unit, k: int, crank: Crank) -> jax.Array:
         turned += unit.eccentricity * parts.psi[i] * (crank.cosine * x + crank.sine * y)
         turned += parts.carrier[i][1] - parts.disc[k][i][1] + (shift[1] * x - shift[0] * y)
     return turned / (len(unit.axes) * unit.radius)
+
+
+def monotone_angle(vector: Vector) -> jax.Array:
+    """Return a number that falls as the discs turn: -1 to 1 up to a right angle of all together, to +-2 beyond.
+
+    Their vectors C + i S were turned one after the other by multiplication, so no angle is needed.
+    """
+    cosine, sine = vector
+    size = jnp.abs(cosine) + jnp.abs(sine)
+    beyond = jnp.where(sine >= 0, 2, -2) * size - sine
+    return -divide(jnp.where(cosine >= 0, sine, beyond), size)
+
+
+def product(discs: list[tuple[Vector, Vector]]) -> "Polynomial":
+    """Product of the discs' vectors without load, in the direction of the first crank."""
+    first, *others = discs
+    together = Polynomial(list(first))
+    for still, moved in others:
+        together = together.times(still, moved)
+    return together
+
+
+class Polynomial(NamedTuple):
+    """In a complex variable; numbers are pairs, real and imaginary, which run in vectors."""
+
+    coefficients: list[Vector]  # of ascending powers
+
+    def times(self, still: Vector, turning: Vector) -> "Polynomial":
+        """Multiplied by still + turning u."""
+        same = [*(times(z, still) for z in self.coefficients), (0, 0)]
+        risen = [(0, 0), *(times(z, turning) for z in self.coefficients)]
+        return Polynomial([(x + u, y + v) for (x, y), (u, v) in zip(same, risen)])
+
+    def at(self, u: Vector) -> Vector:
+        """Value by Horner's rule."""
+        x, y = self.coefficients[-1]
+        for real, imaginary in self.coefficients[-2::-1]:
+            x, y = times((x, y), u)
+            x, y = real + x, imaginary + y
+        return x, y
+
+
+def times(first: Vector, second: Vector) -> Vector:
+    """Product of two complex numbers."""
+    return first[0] * second[0] - first[1] * second[1], first[1] * second[0] + first[0] * second[1]
+
+
+def angle_of(score: jax.Array) -> jax.Array:
+    """Angle of a value of `monotone_angle`."""
+    beyond = jnp.abs(score) > 1
+    half_turn = jnp.where(beyond, jnp.sign(score), 0)
+    within = jnp.where(beyond, score - 2 * half_turn, score)  # beyond a right angle: of the opposite direction
+    return arctan2(within, 1 - jnp.abs(within)) + np.pi * half_turn
 
 
 def _moves(unit: Unit, k: int) -> list[Vector]:

@@ -5,7 +5,7 @@ from rvjax.flank import (
     least_convex_radius as least_convex_radius,
     relative_radius as relative_radius,
 )
-from rvjax.geometry.figures import Figures, contact_ratio as contact_ratio, figures
+from rvjax.geometry.outputs import Figures, contact_ratio as contact_ratio, figures
 from rvjax.geometry.ring import material as material, squared_pressure as squared_pressure
 
 __all__ = ["Figures", "figures"]

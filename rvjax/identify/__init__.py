@@ -4,13 +4,11 @@ This package is independent of gears: a model is any pure function of values to 
 dict of tolerances.
 """
 
-from rvjax.identify.batch import Batch, solve_many
-from rvjax.identify.elements import mapped_values as mapped_values
+from rvjax.identify.batch import Batch, Process, solve_many
+from rvjax.identify.elements import Direction, Identifiability, mapped_values as mapped_values
 from rvjax.identify.goodness_of_fit import MOST_PARETO as MOST_PARETO, Fit as Fit
-from rvjax.identify.information import Direction, Identifiability
-from rvjax.identify.observation import Noise, Orders, orders
+from rvjax.identify.observation import Noise, Orders, orders, svd as svd
 from rvjax.identify.planning import Ranking, identifiability, rank_measurements
-from rvjax.identify.population import Process
 from rvjax.identify.posterior import Mode, Posterior
 from rvjax.identify.sampler import Draws, sample
 from rvjax.identify.search import FAINT as FAINT

@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.identify.information import compress_rows
+from rvjax.identify.elements import compress_rows
 from rvjax.records import Array
 from rvjax.status import SolveInfo, Status
 

@@ -17,7 +17,7 @@ import math
 import numpy as np
 from scipy import special
 
-from rvjax.identify.information import compress_rows
+from rvjax.identify.elements import compress_rows
 
 REACHED = 0.01
 """Least lambda of a component that parts within the prior can move."""

@@ -16,9 +16,8 @@ import numpy as np
 
 from rvjax._jax.checks import checked
 from rvjax._jax.sizes import SETS
-from rvjax.identify.elements import mapped_values
+from rvjax.identify.elements import Identifiability, Spectrum, findings, mapped_values
 from rvjax.identify.identification import Model, Problem, counted, program_of
-from rvjax.identify.information import Identifiability, Spectrum, findings
 from rvjax.identify.observation import Noise
 from rvjax.identify.posterior import Posterior
 from rvjax.population import Correlation

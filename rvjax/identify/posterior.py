@@ -14,10 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import special
 
-from rvjax.identify.elements import FAR, Elements, mapped_values, standard
+from rvjax.identify.elements import FAR, Elements, Identifiability, mapped_values, standard
 from rvjax.identify.goodness_of_fit import Fit, Laplace
 from rvjax.identify.identification import Problem
-from rvjax.identify.information import Identifiability
 from rvjax.identify.search import Peak
 from rvjax.population import Tolerance
 from rvjax.records import PyTree

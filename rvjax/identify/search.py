@@ -8,9 +8,9 @@ from scipy import special
 
 from rvjax._jax.kernels import in_blocks
 from rvjax._jax.sizes import LINEARISED
+from rvjax.identify.elements import Spectrum
 from rvjax.identify.gauss_newton import NEAR, Linearised, Mode, half_square, modes
 from rvjax.identify.identification import Problem, densities, parts_of
-from rvjax.identify.information import Spectrum
 from rvjax.status import SolveInfo, Status
 
 APART = 1.0

@@ -13,10 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rvjax.identify.elements import Elements
+from rvjax.identify.elements import Elements, compress_rows
 from rvjax.identify.gauss_newton import LONGEST, ROUNDINGS, TOLERANCE, half_square, roots_of_weights
 from rvjax.identify.identification import Problem
-from rvjax.identify.information import compress_rows
 from rvjax.status import Status
 
 HOPELESS = 12

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import special
 
 from rvjax._jax.checks import checked
-from rvjax.identify.elements import mapped_values
+from rvjax.identify.elements import findings, mapped_values
 from rvjax.identify.goodness_of_fit import (
     ADEQUATE,
     LEAST_DRAWS,
@@ -21,7 +21,6 @@ from rvjax.identify.goodness_of_fit import (
     weights_of,
 )
 from rvjax.identify.identification import Model, Problem, counted, integer
-from rvjax.identify.information import findings
 from rvjax.identify.observation import Noise
 from rvjax.identify.posterior import Mode, Outcome, Posterior, broken, limits_of, outcome, shares
 from rvjax.identify.sampler import Draws

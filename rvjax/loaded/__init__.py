@@ -5,19 +5,24 @@ Derived in this project: docs/models/loaded.md.
 """
 
 from rvjax.loaded.balance import compliance as compliance, forces as forces
-from rvjax.loaded.case import Case as Case, output_rotation as output_rotation
+from rvjax.loaded.bench import Reading, Torsion, housing_orders, reading, torsion
+from rvjax.loaded.case import (
+    SUPPORTS as SUPPORTS,
+    Case as Case,
+    Read as Read,
+    output_rotation as output_rotation,
+    unchecked as unchecked,
+)
 from rvjax.loaded.cases import MACHINE as MACHINE, RATED as RATED, WHOLE as WHOLE
-from rvjax.loaded.encoder import Reading, housing_orders, reading
 from rvjax.loaded.equilibrium import (
-    BearingForces as BearingForces,
     Equilibria as Equilibria,
     Loaded,
-    bearing_forces as bearing_forces,
+    admit as admit,
+    check_input as check_input,
     equilibria as equilibria,
     equilibrium,
+    named_forces as named_forces,
 )
-from rvjax.loaded.inputs import SUPPORTS as SUPPORTS, Read as Read, unchecked as unchecked
-from rvjax.loaded.kinds import admit as admit, check_input as check_input, named_forces as named_forces
 from rvjax.loaded.laws import CONTACTS as CONTACTS
 from rvjax.loaded.observation import (
     HEAD_PARTS as HEAD_PARTS,
@@ -28,15 +33,16 @@ from rvjax.loaded.observation import (
     ways as ways,
 )
 from rvjax.loaded.revolution import (
+    BearingForces as BearingForces,
     Clearance,
     Revolution,
+    bearing_forces as bearing_forces,
     clearance,
     instants as instants,
     revolution,
     summary as summary,
 )
 from rvjax.loaded.system import Layout as Layout
-from rvjax.loaded.torsion import Torsion, torsion
 
 __all__ = ["Clearance", "Loaded", "Reading", "Revolution", "Torsion", "clearance", "equilibrium", "housing_orders"]
 __all__ += ["reading", "revolution", "torsion"]

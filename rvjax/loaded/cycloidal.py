@@ -20,10 +20,9 @@ from rvjax.designs import Contact
 from rvjax.geometry import material as of_contact, squared_pressure
 from rvjax.loaded import laws
 from rvjax.loaded.balance import Forces
-from rvjax.loaded.case import Case, NamedForces, under
+from rvjax.loaded.case import Case, NamedForces, Read, admitted, check_shapes, unchecked, under
 from rvjax.loaded.cycloidal_gaps import Drive, Unknowns, drive_at, drive_gaps, drive_rows, gaps_of_turn
 from rvjax.loaded.geometry import flank_rounding
-from rvjax.loaded.inputs import Read, admitted, check_shapes, unchecked
 from rvjax.loaded.system import Bearings, Group, Joints, Layout, Pins, System
 from rvjax.records import Scalar
 

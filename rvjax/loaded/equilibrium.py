@@ -1,12 +1,12 @@
-"""Equilibria of a whole reducer: one, and several input angles with several torques each.
+"""Equilibria of a whole reducer: one, and several input angles with several torques each; the kinds of reducers.
 
 One gives everything that is read, checked and derived. Several give chosen results, such as the forces of the crank
-bearings.
+bearings. What differs between kinds is one table.
 """
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -14,19 +14,140 @@ import numpy as np
 
 from rvjax._jax.kernels import scan
 from rvjax._jax.programs import ONCE, quick
+from rvjax.base.words import choose
 from rvjax.catalogue import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
-from rvjax.designs import RVReducer
+from rvjax.designs import RVReducer, expect
 from rvjax.errors import Errors, RVErrors
-from rvjax.loaded.balance import compliance, forces
-from rvjax.loaded.case import Case, at_output, output_rotation, pressures, solve
-from rvjax.loaded.inputs import Read
-from rvjax.loaded.kinds import admit, check_input, named_forces, prepare
+from rvjax.loaded import cycloidal, laws, rv
+from rvjax.loaded.balance import Forces, compliance, forces
+from rvjax.loaded.case import (
+    SUPPORTS,
+    Case,
+    NamedForces,
+    Read,
+    at_output,
+    check_shapes,
+    check_teeth,
+    output_rotation,
+    pressures,
+    solve,
+)
 from rvjax.loaded.newton import Minimum
 from rvjax.loaded.system import Layout
 from rvjax.records import Array, Design, PyTree, Record, Scalar, field, record
 from rvjax.roots import solved
 from rvjax.status import SolveInfo, Status, succeeded
+
+
+class LoadedKind(Protocol):
+    """Functions of the module of a kind of reducer; the arguments are those of `rv`."""
+
+    def layout(self, design: PyTree, errors: PyTree, contact: str, carrier: str, sun: str) -> Layout:
+        """Bodies and contacts, with an error for shapes that do not fit."""
+
+    def admit(self, layout: Layout, design: PyTree, errors: PyTree, torque: Scalar, angle: Scalar) -> Read:
+        """The numbers that are read, harmless ones in the place of impossible ones."""
+
+    def prepare(self, layout: Layout, read: Read, input_angle: jax.Array) -> Case:
+        """Geometry, springs and gaps of one input angle; `load` is that of 1 N m."""
+
+    def named_forces(self, layout: Layout, read: Read, case: Case, forces: Forces) -> NamedForces:
+        """The forces by their names in the results."""
+
+    def fit(
+        self, samples: int, turns: float, design: PyTree, errors: PyTree
+    ) -> tuple[tuple[jax.Array, jax.Array], SolveInfo]:
+        """Least clearance without load, of all angles () and of each (n,)."""
+
+    def passing(self, design: PyTree) -> tuple[int, ...]:
+        """Orders of the output turn that a reducer without errors makes, as far as few angles may not resolve them."""
+
+
+KINDS: dict[type, LoadedKind] = {RVReducer: rv, CycloidalReducer: cycloidal}
+
+
+def kind_of(design: Design) -> LoadedKind:
+    """The module of a design's kind."""
+    return next(kind for cls, kind in KINDS.items() if isinstance(design, cls))
+
+
+def check_kind(design: Design, errors: Errors) -> None:
+    """Raise an error for errors of another kind of reducer or of other counts.
+
+    Args:
+        design: one of `KINDS`.
+        errors: of its parts.
+    """
+    wanted = design.error_record
+    if not isinstance(errors, wanted):
+        kind = type(design).__name__
+        raise ValueError(f"errors: a {kind} takes {wanted.__name__}, got {type(errors).__name__}")
+    check_shapes([errors], design.counts)
+
+
+def check_input(design: PyTree, errors: PyTree, contact: str, carrier: str, sun: str) -> Layout:
+    """The layout of this call.
+
+    Args:
+        design: as in `equilibrium`.
+        errors: likewise.
+        contact: likewise.
+        carrier: likewise.
+        sun: likewise.
+
+    Raises:
+        ValueError: see `equilibrium`.
+    """
+    expect(design, "loaded", *KINDS)
+    for name, value, known in (
+        ("contact", contact, laws.CONTACTS),
+        ("carrier", carrier, SUPPORTS),
+        ("sun", sun, SUPPORTS),
+    ):
+        choose(name, value, known)
+    for name in ("stiffness", "contact"):
+        if getattr(design, name) is None:
+            raise ValueError(f"{type(design).__name__}.{name} = None: the loaded equilibrium needs it")
+    check_teeth(design.cycloid)
+    check_kind(design, errors)
+    return kind_of(design).layout(design, errors, contact, carrier, sun)
+
+
+def admit(layout: Layout, design: Design, errors: Errors, torque: Scalar, angle: Scalar) -> Read:
+    """Check the numbers that are read.
+
+    Args:
+        layout: counts and methods.
+        design: the reducer.
+        errors: of its parts.
+        torque: () N m.
+        angle: () rad.
+    """
+    return kind_of(design).admit(layout, design, errors, torque, angle)
+
+
+def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
+    """Geometry, springs and gaps of one input angle; `load` is that of 1 N m.
+
+    Args:
+        layout: counts and methods.
+        read: finite and possible numbers.
+        input_angle: () rad.
+    """
+    return kind_of(read.design).prepare(layout, read, input_angle)
+
+
+def named_forces(layout: Layout, read: Read, case: Case, forces: Forces) -> NamedForces:
+    """The forces by their names in the results.
+
+    Args:
+        layout: counts and methods.
+        read: finite and possible numbers.
+        case: of the angle.
+        forces: of all contacts.
+    """
+    return kind_of(read.design).named_forces(layout, read, case, forces)
 
 
 @record
@@ -225,45 +346,3 @@ def _measure(
         return take(loaded, at_output(layout, loaded, minimum, status), status == Status.CONVERGED)
 
     return jax.vmap(of_one)(torques, minimum, status)
-
-
-class BearingForces(NamedTuple):
-    """At n angles under t torques, in the frame of the ideal carrier; 0 where an equilibrium failed or carries nothing.
-
-    The displacements carry no derivative; they are a start for torques near these.
-    """
-
-    arm: jax.Array  # (n, t, d, c, 2) N, crank on disc
-    support: jax.Array  # (n, t, c, 2) N, crank on carrier
-    info: SolveInfo  # (n, t)
-    displacements: jax.Array | None  # (n, t, unknowns), NaN where an equilibrium failed; None: not needed
-
-
-def bearing_forces(
-    layout: Layout,
-    read: Read,
-    torques: jax.Array,
-    input_angles: jax.Array,
-    start: jax.Array | None = None,
-    *,
-    near: bool = False,
-) -> BearingForces:
-    """Forces of the crank bearings at every angle under every torque: what a bearing life is computed from.
-
-    Args:
-        layout: as in `equilibria`.
-        read: as in `equilibria`.
-        torques: as in `equilibria`.
-        input_angles: as in `equilibria`.
-        start: as in `equilibria`.
-        near: as in `equilibria`.
-    """
-
-    def take(case: Case, q: jax.Array, carries: jax.Array) -> tuple[jax.Array, jax.Array]:
-        of_names = named_forces(layout, read, case, forces(layout, case.system, q))
-        both = of_names.disc_bearing, of_names.support_bearing
-        return jax.tree.map(lambda force: jnp.where(carries, force, 0), both)
-
-    solution = equilibria(layout, read, torques, input_angles, take, start, near=near)
-    arm, support = solution.taken
-    return BearingForces(arm, support, solution.info, solution.displacements)

@@ -19,14 +19,12 @@ import numpy as np
 from rvjax._jax.programs import QUICK, quick
 from rvjax.designs import RVReducer
 from rvjax.errors import Errors, RVErrors
-from rvjax.loaded.encoder import Reading, reading
-from rvjax.loaded.equilibrium import equilibrium, error_alone
-from rvjax.loaded.inputs import SUPPORTS
-from rvjax.loaded.kinds import check_input, kind_of
+from rvjax.loaded.bench import SHARES, Reading, reading
+from rvjax.loaded.case import SUPPORTS
+from rvjax.loaded.equilibrium import check_input, equilibrium, error_alone, kind_of
 from rvjax.loaded.laws import CONTACTS
 from rvjax.loaded.revolution import Revolution, revolution
 from rvjax.loaded.system import Layout
-from rvjax.loaded.torsion import SHARES
 from rvjax.outputs import Observation, Spectrum, condition
 from rvjax.records import Array, Design, PyTree, Scalar
 

@@ -17,10 +17,10 @@ from rvjax.catalogue import part_class
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors
+from rvjax.loaded.bench import secant, twisted
+from rvjax.loaded.case import check_teeth
 from rvjax.loaded.cases import cases
-from rvjax.loaded.equilibrium import equilibrium
-from rvjax.loaded.inputs import check_teeth
-from rvjax.loaded.kinds import check_input
+from rvjax.loaded.equilibrium import check_input, equilibrium
 from rvjax.loaded.observation import (
     CURVE,
     HALF,
@@ -37,7 +37,6 @@ from rvjax.loaded.observation import (
     ways,
 )
 from rvjax.loaded.revolution import Clearance, Revolution, clearance
-from rvjax.loaded.torsion import secant, twisted
 from rvjax.outputs import KNOWN_ERROR, Curve, Description, Output, Reading, Solved, Usual
 from rvjax.records import Design, PyTree
 from rvjax.status import SolveInfo, worst, worst_of

@@ -1,6 +1,6 @@
 """A reducer along its turn: equilibria at several instants, transmission error under load, clearance without load.
 
-An instant has a torque and an input angle.
+An instant has a torque and an input angle; forces of the crank bearings are those of every angle under every torque.
 """
 
 from functools import partial
@@ -18,9 +18,8 @@ from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import Errors, RVErrors
 from rvjax.loaded.balance import forces
-from rvjax.loaded.case import at_output, output_rotation, pressures, solve
-from rvjax.loaded.inputs import Read, check_teeth
-from rvjax.loaded.kinds import KINDS, admit, check_input, check_kind, kind_of, named_forces, prepare
+from rvjax.loaded.case import Case, Read, at_output, check_teeth, output_rotation, pressures, solve
+from rvjax.loaded.equilibrium import KINDS, admit, check_input, check_kind, equilibria, kind_of, named_forces, prepare
 from rvjax.loaded.newton import Minimum
 from rvjax.loaded.system import Layout
 from rvjax.records import Array, Design, PyTree, Record, Scalar, field, record
@@ -271,3 +270,45 @@ def clearance(
 def _clearance(samples: int, turns: float, design: Design, errors: Errors) -> Clearance:
     (least, each), info = kind_of(design).fit(samples, turns, design, errors)
     return Clearance(least, each, info)
+
+
+class BearingForces(NamedTuple):
+    """At n angles under t torques, in the frame of the ideal carrier; 0 where an equilibrium failed or carries nothing.
+
+    The displacements carry no derivative; they are a start for torques near these.
+    """
+
+    arm: jax.Array  # (n, t, d, c, 2) N, crank on disc
+    support: jax.Array  # (n, t, c, 2) N, crank on carrier
+    info: SolveInfo  # (n, t)
+    displacements: jax.Array | None  # (n, t, unknowns), NaN where an equilibrium failed; None: not needed
+
+
+def bearing_forces(
+    layout: Layout,
+    read: Read,
+    torques: jax.Array,
+    input_angles: jax.Array,
+    start: jax.Array | None = None,
+    *,
+    near: bool = False,
+) -> BearingForces:
+    """Forces of the crank bearings at every angle under every torque: what a bearing life is computed from.
+
+    Args:
+        layout: as in `equilibria`.
+        read: as in `equilibria`.
+        torques: as in `equilibria`.
+        input_angles: as in `equilibria`.
+        start: as in `equilibria`.
+        near: as in `equilibria`.
+    """
+
+    def take(case: Case, q: jax.Array, carries: jax.Array) -> tuple[jax.Array, jax.Array]:
+        of_names = named_forces(layout, read, case, forces(layout, case.system, q))
+        both = of_names.disc_bearing, of_names.support_bearing
+        return jax.tree.map(lambda force: jnp.where(carries, force, 0), both)
+
+    solution = equilibria(layout, read, torques, input_angles, take, start, near=near)
+    arm, support = solution.taken
+    return BearingForces(arm, support, solution.info, solution.displacements)

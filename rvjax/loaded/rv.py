@@ -18,9 +18,8 @@ from rvjax.errors import RVErrors
 from rvjax.geometry import material as of_contact, squared_pressure
 from rvjax.loaded import laws
 from rvjax.loaded.balance import Forces
-from rvjax.loaded.case import Case, NamedForces
+from rvjax.loaded.case import Case, NamedForces, Read, admitted, check_shapes, unchecked
 from rvjax.loaded.geometry import Geometry, Turn, flank_rounding, flanks, full, geometry, no_orders, pin_depths, turn
-from rvjax.loaded.inputs import Read, admitted, check_shapes, unchecked
 from rvjax.loaded.system import Bearings, Group, Joints, Layout, Pins, System
 from rvjax.records import Scalar
 

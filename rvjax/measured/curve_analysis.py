@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rvjax.measured.kind import Finding, Run
-from rvjax.measured.sampling import STRAIGHT, WHOLE, Sampling, legs, places, repetition, without_spikes
+from rvjax.measured.run import STRAIGHT, WHOLE, Finding, Run, Sampling, legs, places, repetition, without_spikes
 from rvjax.measured.terms import LOW, Model, Term, content, memory
 from rvjax.units import arcsec, deg
 

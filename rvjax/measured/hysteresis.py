@@ -6,8 +6,8 @@ import numpy as np
 
 from rvjax.measured.branches import WIDEST, Branches
 from rvjax.measured.cycle import Read
-from rvjax.measured.kind import Finding
 from rvjax.measured.reversals import Path
+from rvjax.measured.run import Finding
 from rvjax.units import arcmin
 
 THRESHOLD = 0.03  # of the extreme torque: where lost motion is read

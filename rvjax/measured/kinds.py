@@ -1,5 +1,6 @@
 """Kinds of bench files: curves of the transmission error, hysteresis, natural frequencies."""
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
@@ -9,8 +10,7 @@ from rvjax.base.columns import Table
 from rvjax.measured.branches import branches
 from rvjax.measured.curve_analysis import findings, judge
 from rvjax.measured.hysteresis import about, used
-from rvjax.measured.kind import Conditions, Finding, Item, Kind, Run, where as named
-from rvjax.measured.sampling import legs, places, unwrapped
+from rvjax.measured.run import Conditions, Finding, Item, Kind, Run, legs, places, where as named
 from rvjax.units import deg
 
 TURN = 359 * deg  # what a run has to cover; every sample represents the step before it
@@ -184,3 +184,19 @@ class Frequencies(Kind):
                 raise ValueError(f"{where}: must be positive, in {table.shown[name]}")
         order = np.argsort(frequency, kind="stable")
         return Tones(table.source, at, frequency[order], sd[order])
+
+
+def unwrapped(angle: np.ndarray) -> np.ndarray:
+    """Angle without jumps by a revolution; a single wrong angle adds none.
+
+    Args:
+        angle: in the order of time, rad (n,).
+    """
+    path = np.unwrap(angle)
+    steps = np.diff(path)
+    if len(steps) < 2 or np.median(np.abs(steps)) > math.pi / 4:
+        return path
+    across = np.diff(np.unwrap(np.stack([angle[:-2], angle[2:]]), axis=0), axis=0)[0]
+    added = np.round((steps[:-1] + steps[1:] - across) / (2 * math.pi))
+    steps[1:] -= np.where(np.abs(steps[1:]) > math.pi / 2, added, 0.0) * 2 * math.pi
+    return np.concatenate([path[:1], path[0] + np.cumsum(steps)]) if np.any(added) else path

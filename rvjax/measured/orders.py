@@ -15,7 +15,7 @@ import scipy
 from rvjax import identify
 from rvjax.identify import Orders
 from rvjax.measured.curve_analysis import DRIFTS, FASTEST, MOTOR, Judged
-from rvjax.measured.sampling import spectrum
+from rvjax.measured.run import spectrum
 from rvjax.measured.terms import LOW, TINY, Model, Term
 
 KNOTS = 4  # of a level, equal distances of the logarithm of the order

@@ -13,9 +13,9 @@ import numpy as np
 from rvjax.base import columns as cells
 from rvjax.base.cells import is_number, listed
 from rvjax.base.columns import Table, Units, name_and_unit
-from rvjax.base.encoding import guessed
-from rvjax.measured.kind import DIRECTIONS, Conditions, Item, Kind, Run
+from rvjax.base.text import guessed
 from rvjax.measured.kinds import Curve, Frequencies, Hysteresis
+from rvjax.measured.run import DIRECTIONS, Conditions, Item, Kind, Run
 from rvjax.units import KNOWN, recognised
 
 SIDES = {

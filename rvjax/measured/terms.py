@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy
 
-from rvjax.base.numbers import svd
-from rvjax.measured.sampling import Sampling, spectrum
+from rvjax.identify import svd
+from rvjax.measured.run import Sampling, spectrum
 
 COLLINEAR = 1e-8  # square of the share of a column that others do not explain
 TINY = 1e-300

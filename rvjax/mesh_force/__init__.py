@@ -7,7 +7,9 @@ roller and the windup for one unit at one angle.
 Source: Wei et al. 2021, Chin. J. Mech. Eng. 34:84.
 """
 
-from rvjax.mesh_force.cycle import (
+from rvjax.mesh_force.equilibrium import MeshForces, solve
+from rvjax.mesh_force.geometry import ToothProfile, largest_roller_radius, tooth_profile, undercut_margin
+from rvjax.mesh_force.outputs import (
     ContactPressure,
     CycleStatistics,
     contact_pressure,
@@ -15,8 +17,6 @@ from rvjax.mesh_force.cycle import (
     cycle_statistics,
     sweep,
 )
-from rvjax.mesh_force.equilibrium import MeshForces, solve
-from rvjax.mesh_force.geometry import ToothProfile, largest_roller_radius, tooth_profile, undercut_margin
 
 __all__ = ["ContactPressure", "CycleStatistics", "MeshForces", "ToothProfile", "contact_pressure", "cycle_angles"]
 __all__ += ["cycle_statistics", "largest_roller_radius", "solve", "sweep", "tooth_profile", "undercut_margin"]

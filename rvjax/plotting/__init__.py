@@ -24,9 +24,8 @@ from rvjax.plotting.curves import (
     measured_loop,
     unit_curves,
 )
-from rvjax.plotting.histograms import histogram
+from rvjax.plotting.results import cost_against_yield, cost_bars, histogram, pareto, trade_front, tradeoff
 from rvjax.plotting.style import new_axes, style, use_style, words
-from rvjax.plotting.tradeoff import cost_against_yield, cost_bars, pareto, trade_front, tradeoff
 
 __all__ = [
     "bars",

@@ -1,5 +1,6 @@
 """Population of units: distributions of part errors, correlation, random numbers and the statistics of samples."""
 
+from rvjax.population import periodic as periodic
 from rvjax.population.estimates import (
     Estimate,
     clopper_pearson as clopper_pearson,

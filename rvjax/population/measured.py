@@ -17,7 +17,7 @@ from rvjax.base.cells import read_cells
 from rvjax.base.columns import name_and_unit, read_table, split
 from rvjax.base.fields import axis_sizes
 from rvjax.base.words import unknown
-from rvjax.population.distributions.empirical import in_steps, step_of
+from rvjax.population.distributions import in_steps, step_of
 from rvjax.population.estimates import Estimate, deviate_of
 from rvjax.population.tolerance import Tolerance
 from rvjax.records import Design, Metadata, PyTree

@@ -17,7 +17,7 @@ import numpy as np
 from rvjax import mesh_force
 from rvjax.catalogue import CORR
 from rvjax.errors import CamRollerErrors
-from rvjax.published.ledger import figures
+from rvjax.published import figures
 from rvjax.units import mm, um
 
 CALIBRATED_TORQUE = 109.56418376586802

@@ -15,7 +15,7 @@ import jax
 from rvjax.catalogue import RV_20E, RV_20E_ERRORS
 from rvjax.designs import InvoluteStage
 from rvjax.lost_motion import geometric, shaft_tilt
-from rvjax.published.ledger import parse
+from rvjax.published import parse
 from rvjax.records import PyTree
 from rvjax.units import arcmin, deg, mm, um
 

@@ -13,9 +13,8 @@ from markupsafe import Markup, escape
 import rvjax
 from rvjax.base.files import versions
 from rvjax.render import quantity
-from rvjax.render.content import Block, Figure, Note, Section
+from rvjax.render.content import Block, Figure, Note, Section, Table
 from rvjax.render.quantity import PAGE
-from rvjax.render.table import Table
 
 
 def page(template: str, values: Mapping[str, object]) -> str:

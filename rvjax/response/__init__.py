@@ -1,16 +1,12 @@
 """Response: a pure function of the errors of one unit, evaluated for many units on all devices."""
 
-from rvjax.response.devices import (
-    Evaluator as Evaluator,
-    units_devices as units_devices,
-    units_on as units_on,
-)
-from rvjax.response.gradients import (
+from rvjax.response.derivatives import (
     elements as elements,
     elements_and_rates as elements_and_rates,
     gradients as gradients,
 )
 from rvjax.response.parts import (
+    Evaluator as Evaluator,
     Part as Part,
     Whole as Whole,
     evaluator as evaluator,
@@ -34,6 +30,8 @@ from rvjax.response.response import (
     respond as respond,
     respond_units as respond_units,
     response_names as response_names,
+    units_devices as units_devices,
+    units_on as units_on,
     unwrapped as unwrapped,
 )
 

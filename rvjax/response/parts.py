@@ -1,5 +1,10 @@
-"""A response in parts, and any of its units: outputs that share no computation are solved for different units."""
+"""A response in parts, and any of its units; chunks of units on all local devices.
 
+Outputs that share no computation are solved for different units. Each device draws and evaluates its own part of a
+chunk, none waits for another.
+"""
+
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -8,11 +13,30 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.sizes import AT_ONCE, PULLED, calls
-from rvjax.population import Population
-from rvjax.response.devices import Evaluator
-from rvjax.response.gradients import elements, gradients, nominal_status
-from rvjax.response.response import BLOCK, Response, Values, is_costly, respond, response_names
-from rvjax.response.solving import Errors, Solution, pulls, solution, solve, without_errors
+from rvjax.population import TURN, Population, SobolPoints, drawn, key_of, root_key
+from rvjax.response.derivatives import (
+    Errors,
+    Solution,
+    elements,
+    gradients,
+    nominal_status,
+    pulls,
+    solution,
+    solve,
+    without_errors,
+)
+from rvjax.response.response import (
+    BLOCK,
+    EVERYWHERE,
+    NUMBERS,
+    Response,
+    Values,
+    is_costly,
+    on,
+    respond,
+    response_names,
+    units_devices,
+)
 from rvjax.status import Status, succeeded, worst
 
 
@@ -130,6 +154,69 @@ def parts(response: Response, population: Population, chunk: int = BLOCK) -> lis
     split = getattr(response, "parts", None)
     own: Sequence[Response] = [response] if split is None else split()
     return [Part(part, population) for part in own]
+
+
+class Evaluator:
+    """Evaluates chunks of one study; devices compute while the host continues."""
+
+    def __init__(self, response: Response, population: Population, seed: int, method: str, chunk: int) -> None:
+        """Checked inputs of an evaluation, as in `monte_carlo`; `chunk` units at once."""
+        self._response, self._population, self._key = response, population, root_key(seed)
+        self._points = SobolPoints(population.numbers, seed) if method == "sobol" else None
+        devices = units_devices()
+        self._mesh = jax.sharding.Mesh(np.array(devices), ("units",)) if len(devices) > 1 else None
+        if self._mesh is None:
+            self._key = on(None, self._key)  # the device that computes draws as well
+        # Every device gets the same number of units; those past the end of the chunk are never looked at.
+        self._count = -(-chunk // len(devices)) * len(devices)
+
+    @property
+    def shared(self) -> bool:
+        """True if several devices share each chunk."""
+        return self._mesh is not None
+
+    def start(self, first: int) -> tuple[Values, jax.Array]:
+        """Values and status of the chunk that begins with unit `first`, still being computed."""
+        return respond(self._response, self._population, self.z(first), mesh=self._mesh)
+
+    def errors(self, first: int) -> dict[str, np.ndarray]:
+        """Sampled errors of the chunk that begins with unit `first`, by field (*shape, n)."""
+        return {field: np.asarray(drawn) for field, drawn in _deviations(self._population, self.z(first)).items()}
+
+    def z(self, first: int) -> jax.Array:
+        """Random numbers (numbers, n) of the chunk that begins with unit `first`."""
+        if self._points is not None:
+            points: Any = np.asarray(self._points.z(first, self._count), jnp.result_type(float))
+            return on(self._mesh, points)
+        turn, first = divmod(first, TURN)
+        z = self._drawn(turn, first)
+        if (rest := TURN - first) < self._count:  # numbers of 32 bits begin again within the chunk
+            z = jnp.where(jnp.arange(self._count) < rest, z, self._drawn(turn + 1, first))
+        return z
+
+    def _drawn(self, turn: int, first: int) -> jax.Array:
+        key = key_of(self._key, turn)
+        if self._mesh is None:
+            return drawn(self._population, key, np.uint32(first), count=self._count)
+        return _drawn_on(self._mesh, self._count, self._population, key, np.uint32(first))
+
+
+@jax.jit
+def _deviations(population: Population, z: jax.Array) -> dict[str, jax.Array]:
+    return population.deviations(z)
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1))
+def _drawn_on(
+    mesh: jax.sharding.Mesh, count: int, population: Population, key: jax.Array, first: jax.Array
+) -> jax.Array:
+    def part(population: Population, key: jax.Array, first: jax.Array) -> jax.Array:
+        own = count // mesh.size
+        begin = first + jax.lax.axis_index("units").astype(jnp.uint32) * jnp.uint32(own)
+        return population.draw(key, begin + jnp.arange(own, dtype=jnp.uint32))
+
+    specs = (EVERYWHERE, EVERYWHERE, EVERYWHERE)
+    return jax.shard_map(part, mesh=mesh, in_specs=specs, out_specs=NUMBERS, check_vma=False)(population, key, first)
 
 
 class InParts(Evaluator):

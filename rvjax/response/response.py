@@ -4,9 +4,10 @@ It returns a scalar, a dict or record of scalars, or an `Outcome` that names why
 package its values are always a dict; a plain scalar is wrapped in `evaluate` and unwrapped in `unwrapped`.
 """
 
+import contextlib
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -15,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.programs import Options, inside, kept_folder, understood
-from rvjax._jax.sizes import BLOCK as BLOCK, CPU, platform_of, spread
+from rvjax._jax.sizes import BLOCK as BLOCK, CPU, default_platform, platform_of, spread
 from rvjax.base.words import UnknownWord, meant
 from rvjax.population import Given, Population, drawn
 from rvjax.records import Array, PyTree, Record, field, record
@@ -293,3 +294,39 @@ def response_names(response: Response, population: Population) -> tuple[str, ...
         return tuple(sorted(response.outputs))  # as JAX sorts the keys of a dict
     z = jax.ShapeDtypeStruct((population.numbers, BLOCK), jnp.result_type(float))
     return tuple(respond.shapes(response, population, z)[0])
+
+
+_chosen: list[jax.Device] = []  # by `units_on`
+
+
+@contextlib.contextmanager
+def units_on(devices: Sequence[jax.Device]) -> Iterator[None]:
+    """A context within which units are computed on these devices; everything else stays where it is.
+
+    Args:
+        devices: of one platform; none: the default ones.
+    """
+    before = list(_chosen)
+    _chosen[:] = devices
+    try:
+        yield
+    finally:
+        _chosen[:] = before
+
+
+def units_devices() -> list[jax.Device]:
+    """Devices that compute units: those of `units_on`, else all local ones of the default platform."""
+    return list(_chosen) or jax.local_devices(backend=default_platform())
+
+
+def mesh_of(units: int) -> jax.sharding.Mesh | None:
+    """All devices of units, where they can share so many evenly; None for one alone."""
+    devices = units_devices()
+    return jax.sharding.Mesh(np.array(devices), ("units",)) if len(devices) > 1 and units % len(devices) == 0 else None
+
+
+def on(mesh: jax.sharding.Mesh | None, rows: jax.Array) -> jax.Array:
+    """Rows (numbers, units) shared out, as a kept program takes them; without a mesh on the device of `units_on`."""
+    if mesh is not None:
+        return jax.device_put(rows, jax.sharding.NamedSharding(mesh, NUMBERS))
+    return jax.device_put(rows, _chosen[0]) if _chosen else rows

@@ -3,8 +3,7 @@
 Losses follow from the forces of the loaded equilibrium and exact sliding speeds: docs/models/running.md.
 """
 
-from rvjax.running.back_driving import BackDriving, back_driving
-from rvjax.running.drag import DragFit, fit_drag
+from rvjax.running.bench import BackDriving, DragFit, back_driving, fit_drag
 from rvjax.running.inputs import SHARES as SHARES
 from rvjax.running.joint import OF_JOINT as OF_JOINT, Hysteresis, Joint, hysteresis, joint
 from rvjax.running.losses import Losses, losses

@@ -22,7 +22,7 @@ from rvjax.life import TurnPlan
 from rvjax.loaded import DriveConditions as OfDrive, LoadedConditions, ways
 from rvjax.outputs import Description, Joint, Output, Reading, Solved, Source, condition
 from rvjax.records import PyTree, Scalar
-from rvjax.running.back_driving import BackDriving, back_driving
+from rvjax.running.bench import BackDriving, back_driving
 from rvjax.running.inputs import check_call, entered
 from rvjax.running.joint import hysteresis
 from rvjax.running.losses import around, backward_efficiency, efficiency, ended, worked

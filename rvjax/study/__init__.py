@@ -1,12 +1,22 @@
 """Studies: design, tolerances, costs and requirements, in Python or as a TOML file."""
 
-from rvjax.catalogue import BASES, KNOWN_DESIGNS, numbers, shown, walk as walk
+from rvjax.catalogue import (
+    BASES,
+    KNOWN_DESIGNS,
+    fields_of as fields_of,
+    fields_of_kind as fields_of_kind,
+    numbers,
+    shown,
+    walk as walk,
+)
 from rvjax.measured import Conditions, Loop, Measured, Run, read as read_measured
 from rvjax.study.bench import order_name
 from rvjax.study.design import comments as comments, given_numbers as given_numbers, is_assumed as is_assumed
 from rvjax.study.identification import NUISANCES, field_unit, part_orders as part_orders
 from rvjax.study.kinds import (
     KINDS as KINDS,
+    RATED,
+    TORQUE,
     Assumed as Assumed,
     Drawing as Drawing,
     Kind as Kind,
@@ -15,14 +25,11 @@ from rvjax.study.kinds import (
     Start as Start,
     changed as scaled,
     facts_of,
-    fields_of as fields_of,
-    fields_of_kind as fields_of_kind,
     kind_of as kind_of,
     number_at as number_at,
     orders_of as orders_of,
     outside as outside,
 )
-from rvjax.study.kinds.rv import RATED, TORQUE
 from rvjax.study.problem import (
     Candidate,
     Problem,
@@ -30,9 +37,8 @@ from rvjax.study.problem import (
     identification_of,
     problem as inverse_problem,
 )
-from rvjax.study.reader import EMBEDDED, embedded_names, load, parse_study
+from rvjax.study.reader import EMBEDDED, embedded_names, load, parse_study, template as study_template
 from rvjax.study.response import CURVE as CURVE, Response as Response, refuse as refuse
-from rvjax.study.rewrite import template as study_template
 from rvjax.study.study import Study, StudyError
 from rvjax.study.tolerances import stated_by as stated_by
 from rvjax.study.values import (

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 
 from rvjax.base.words import unknown
+from rvjax.catalogue import fields_of
 from rvjax.outputs import Output
 from rvjax.records import IN_ERROR_UNIT, Design, Record
-from rvjax.study.kinds import fields_of, kind_of, number_at, split
+from rvjax.study.kinds import kind_of, number_at, split
 from rvjax.study.tolerances import metadata
 from rvjax.study.values import (
     Toml,

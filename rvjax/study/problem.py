@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -34,7 +33,7 @@ PER_TORQUE = ("torques", "reading", "speeds")  # fields of curves
 LEVELS = (0.1, 0.5, 1.0, 2.0)  # torques of candidates, of the largest one of the data, where the study names none
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Problem:
     """Problem for `rvjax.identify`.
 
@@ -191,7 +190,7 @@ def _by_place(runs: Sequence[Run]) -> dict[tuple[Conditions, int], Run]:
     return found
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class _Fitted:
     value: np.ndarray
     mean: float
@@ -243,7 +242,7 @@ def planned(study: Study) -> tuple[Conditions, ...]:
     return tuple(Conditions(torque=t, direction=d) for t in given.torques for d in given.directions)
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Candidate:
     """A run that could be measured next.
 

@@ -10,15 +10,23 @@ from dataclasses import dataclass
 
 from rvjax import models
 from rvjax.base.words import unknown
-from rvjax.catalogue import accept
+from rvjax.catalogue import accept, fields_of
 from rvjax.levels import Choice, choose
 from rvjax.outputs import Curve, Output
 from rvjax.records import PyTree, Record, Scalar
-from rvjax.study.design import Number, comments, design_numbers, given_paths, is_assumed
-from rvjax.study.doubts import doubtful_costs, doubtful_limits, doubts
+from rvjax.study.design import (
+    Number,
+    comments,
+    design_numbers,
+    doubtful_costs,
+    doubtful_limits,
+    doubts,
+    given_paths,
+    is_assumed,
+)
 from rvjax.study.goals import Price
 from rvjax.study.identification import Identification
-from rvjax.study.kinds import changed, fields_of, kind_of
+from rvjax.study.kinds import changed, kind_of
 from rvjax.study.response import DesignResponse, Response, check_nominal, followed_bounds
 from rvjax.study.tolerances import Form, forms
 from rvjax.study.values import (

@@ -1,13 +1,15 @@
 """Half-widths that minimise any smooth objective, by any optimiser of optax.
 
-Where `allocate` meets requirements, this minimises J = objective + sum of costs.
+Where `allocate` meets requirements, this minimises J = objective + sum of costs. The random numbers of a unit do not
+depend on the half-widths, so J on a sample of units is a smooth function of these where no unit begins to fail, and its
+gradient passes through every unit ("pathwise").
 """
 
 import dataclasses
 import functools
 import math
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,15 +17,177 @@ import numpy as np
 
 from rvjax._jax.checks import checked
 from rvjax.base.progress import progress_bar
-from rvjax.population import Estimate, Population, of_groups, student
-from rvjax.response import Response
-from rvjax.status import SolveInfo, Status
-from rvjax.tolerances.allocation.cost import Cost
+from rvjax.base.words import unknown
+from rvjax.population import Estimate, Population, drawn, of_groups, root_key, student
+from rvjax.records import PyTree
+from rvjax.response import Response, Values, evaluate, per_response, unwrapped
+from rvjax.status import SolveInfo, Status, succeeded
+from rvjax.tolerances.allocation.cost import Cost, total_cost
 from rvjax.tolerances.allocation.problem import check_counts, costs_by_field
-from rvjax.tolerances.pathwise import Objective, Sampled, inwards
 
 if TYPE_CHECKING:
     import optax
+
+
+Objective = Callable[[Any, dict[str, Any]], Any]
+"""Function of the responses of a sample and of the half-widths by field."""
+
+Look = tuple[jax.Array, jax.Array, jax.Array]
+"""J, its gradient, and the number of failed units."""
+
+
+class _Priced(NamedTuple):
+    """Population, costs of its fields, and the logarithms of the ends of their half-widths."""
+
+    population: Population
+    costs: tuple[Cost, ...]
+    low: jax.Array
+    high: jax.Array
+
+
+class _Sampled:
+    """J and its gradient to the logarithms x of the half-widths, on samples of units."""
+
+    def __init__(
+        self, objective: Objective, response: Response, population: Population, priced: Mapping[str, Cost], samples: int
+    ) -> None:
+        self.response, self.population, self.samples = response, population, samples
+        self.fields, costs = tuple(priced), tuple(priced.values())
+        self.ends = np.array([(cost.finest, cost.coarsest) for cost in costs], float).T
+        given = np.array([population.active[name].half_width for name in self.fields], float)
+        logs = jnp.asarray(np.log([*self.ends, np.clip(given, *self.ends)]), jnp.result_type(float))
+        self.start, self.given = logs[2], _Priced(population, costs, logs[0], logs[1])
+        self._options = dict(fields=self.fields, objective=objective)
+
+    def units(self, seed: int, number: int) -> jax.Array:
+        """Random numbers (numbers, samples) of a sample; its units follow those of the sample before."""
+        return drawn(self.population, root_key(seed), np.uint32(number * self.samples % 2**32), count=self.samples)
+
+    def look(self, x: jax.Array, z: jax.Array) -> Look:
+        """J, its gradient, and the number of failed units with random numbers z at x (fields,)."""
+        return _look(self.response, self.given, x, z, **self._options)
+
+    def step(
+        self, optimizer: "optax.GradientTransformation", state: PyTree, x: jax.Array, z: jax.Array, look: Look
+    ) -> tuple[PyTree, jax.Array]:
+        """State of the optimiser and x after a step from x, where units with random numbers z have this look."""
+        return _step(self.response, self.given, x, z, state, *look[:2], optimizer=optimizer, **self._options)
+
+    def half_widths(self, x: jax.Array) -> dict[str, float]:
+        """Half-widths; at their ends without a rounding."""
+        low, high, t = (np.asarray(rows) for rows in (x <= self.given.low, x >= self.given.high, jnp.exp(x)))
+        finest, coarsest = self.ends
+        t = np.where(low, finest, np.where(high, coarsest, np.clip(t, finest, coarsest)))
+        return dict(zip(self.fields, map(float, t)))
+
+    def cost(self, half_widths: Mapping[str, float]) -> float:
+        """Sum of costs."""
+        return float(total_cost(self.given.costs, jnp.asarray(list(half_widths.values()))))
+
+
+@per_response(static=("fields", "objective"))
+def _look(
+    response: Response, given: _Priced, x: jax.Array, z: jax.Array, *, fields: tuple[str, ...], objective: Objective
+) -> Look:
+    total = _total(response, given, z, fields, objective)
+    (value, failed), slope = jax.value_and_grad(total, has_aux=True)(x)
+    return value, slope, failed
+
+
+@per_response(static=("fields", "objective", "optimizer"))
+def _step(
+    response: Response,
+    given: _Priced,
+    x: jax.Array,
+    z: jax.Array,
+    state: PyTree,
+    value: jax.Array,
+    slope: jax.Array,
+    *,
+    fields: tuple[str, ...],
+    objective: Objective,
+    optimizer: "optax.GradientTransformation",
+) -> tuple[PyTree, jax.Array]:
+    import optax
+
+    total, slope = _total(response, given, z, fields, objective), _inwards(slope, x, given)
+    update = optax.with_extra_args_support(optimizer).update
+    with jax.numpy_dtype_promotion("standard"):  # optax raises numbers to powers of its counts
+        moved, state = update(slope, state, x, value=value, grad=slope, value_fn=lambda x: total(x)[0])
+    return state, jnp.clip(x + moved, given.low, given.high)
+
+
+def _inwards(slope: jax.Array, x: jax.Array, given: _Priced) -> jax.Array:
+    """Slopes dJ/dx (fields,) at x, 0 where a step against them leads beyond the ends."""
+    outwards = ((x <= given.low) & (slope > 0)) | ((x >= given.high) & (slope < 0))
+    return jnp.where(outwards, 0, slope)
+
+
+def _total(
+    response: Response, given: _Priced, z: jax.Array, fields: tuple[str, ...], objective: Objective
+) -> Callable[[jax.Array], tuple[jax.Array, jax.Array]]:
+    """Return J and the number of failed units as a function of x; beyond its ends J is that of the ends."""
+    population, costs, low, high = given
+    values_of = _values(response, population)
+
+    def total(x: jax.Array) -> tuple[jax.Array, jax.Array]:
+        t = jnp.exp(jnp.where(x < low, low, jnp.where(x > high, high, x)))  # not `clip`: half a slope at an end
+        half_widths = dict(zip(fields, t))
+        values, failed = values_of(population.with_half_widths(half_widths).deviations(z))
+        return _objective(objective, values, half_widths).astype(x.dtype) + total_cost(costs, t), failed.sum()
+
+    return total
+
+
+def _objective(objective: Objective, values: Values, half_widths: dict[str, jax.Array]) -> jax.Array:
+    """Value of the objective; a ValueError names what is wrong with it."""
+    names = (*values, *half_widths)
+    try:
+        value = objective(unwrapped(values), half_widths)
+    except KeyError as error:
+        if not isinstance(key := error.args[0], str) or key in names:
+            raise
+        rule = " is no name of the response or of a field; these are"
+        raise unknown(f"objective: {key!r}", key, names, rule) from None
+    if value is None:
+        raise ValueError("objective: must return one real number, got None")
+    number = jnp.asarray(value)
+    if number.shape or not jnp.issubdtype(number.dtype, jnp.floating):
+        raise ValueError(f"objective: must return one real number, got shape {number.shape} {number.dtype}")
+    return number
+
+
+def _values(response: Response, population: Population) -> Callable[..., tuple[Values, jax.Array]]:
+    """Return values, NaN of failed units, and which failed, as a function of the errors by field, units last.
+
+    A failed unit adds nothing to the gradient: its derivatives may be NaN, which 0 does not hide.
+    """
+
+    def units(errors: Values) -> tuple[Values, jax.Array]:
+        return jax.vmap(lambda active: evaluate(response, population.fill(active)), in_axes=-1)(errors)
+
+    def masked(values: Values, failed: jax.Array, absent: float) -> Values:
+        return jax.tree.map(lambda rows: jnp.where(failed, absent, rows), values)
+
+    @jax.custom_vjp
+    def values_of(errors: Values) -> tuple[Values, jax.Array]:
+        values, status = units(errors)
+        failed = ~succeeded(status)
+        return masked(values, failed, jnp.nan), failed
+
+    def forward(errors: Values) -> tuple[tuple[Values, jax.Array], PyTree]:
+        values, pull, status = jax.vjp(units, errors, has_aux=True)
+        failed = ~succeeded(status)
+        return (masked(values, failed, jnp.nan), failed), (pull, failed)
+
+    def backward(kept: PyTree, slopes: tuple[Values, Any]) -> tuple[Values]:
+        pull, failed = kept
+        (found,) = pull(masked(slopes[0], failed, 0.0))
+        return (masked(found, failed, 0.0),)
+
+    values_of.defvjp(forward, backward)
+    return values_of
+
 
 _FLAT = 0.02  # gradient of a minimum, as a part of all costs: J exceeds the least by about its square
 _ENDS = 16  # independent samples that estimate the end
@@ -104,7 +268,7 @@ def minimise(
     priced = costs_by_field(costs, population.active)
     _check(population, costs, priced, samples=samples, steps=steps)
     optimizer = optimizer or _adam(steps)
-    sampled = Sampled(objective, response, population, priced, samples)
+    sampled = _Sampled(objective, response, population, priced, samples)
     with progress_bar(progress, steps + _ENDS, "minimising", "step") as advance:
         x, history, finite = _descend(sampled, optimizer, steps, seed, fresh, advance)
         looks = []
@@ -131,7 +295,7 @@ def _adam(steps: int) -> "optax.GradientTransformation":
 
 
 def _descend(
-    sampled: Sampled,
+    sampled: _Sampled,
     optimizer: "optax.GradientTransformation",
     steps: int,
     seed: int,
@@ -157,7 +321,7 @@ def _descend(
 
 
 def _minimum(
-    sampled: Sampled, x: jax.Array, history: list[float], steps: int, looks: list[tuple[jax.Array, jax.Array]]
+    sampled: _Sampled, x: jax.Array, history: list[float], steps: int, looks: list[tuple[jax.Array, jax.Array]]
 ) -> Minimum:
     """The result, from J and its gradient on independent samples; none where an earlier one was not finite."""
     t = sampled.half_widths(x)
@@ -167,7 +331,7 @@ def _minimum(
     values, slopes = (np.array(rows, float) for rows in zip(*looks)) if looks else (np.array([math.nan]),) * 2
     if np.isfinite(values).all() and np.isfinite(slopes).all():
         value = of_groups(values, float(values.mean()), 0.95)
-        mean = np.asarray(inwards(jnp.asarray(slopes.mean(axis=0)), x, sampled.given))
+        mean = np.asarray(_inwards(jnp.asarray(slopes.mean(axis=0)), x, sampled.given))
         length = float(np.linalg.norm(mean)) / abs(cost)
         error = math.sqrt(float(slopes.var(axis=0, ddof=1)[mean != 0].sum()) / len(slopes)) / abs(cost)
         sides = Estimate.about(length, error, student(0.95, len(slopes)))

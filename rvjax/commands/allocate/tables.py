@@ -12,17 +12,11 @@ import numpy as np
 
 import rvjax
 from rvjax.base.files import versions
-from rvjax.commands.allocate import stored_result
 from rvjax.commands.allocate.answer import Answer
-from rvjax.commands.allocate.full_model_check import unlimited_tables
-from rvjax.commands.allocate.texts import headline, limits_of_the_answer
+from rvjax.commands.budget.effects import IN_FILE, NOT_IN_FILE
 from rvjax.commands.cells import (
-    IN_FILE,
-    NOT_IN_FILE,
     binding,
     evaluated,
-    failures_text,
-    influence_tables,
     limit_text,
     limits_data,
     limits_of,
@@ -36,10 +30,8 @@ from rvjax.render import (
     Figure,
     Interval,
     Limits,
-    Note,
     Number,
     Quantity,
-    Report,
     Table,
     Text,
     Titled,
@@ -55,32 +47,6 @@ GRADED = ("graded", "grade", "cost_graded")
 """Fields of a row that only a result in grades has."""
 MOVED = "middles moved"
 """Row with the cost of moved mid-points: with it, the column of costs adds up to the total."""
-
-
-def report_on(answer: Answer) -> Report:
-    """Report on a result.
-
-    Args:
-        answer: the result.
-    """
-    certificate = answer.allocation.certificate
-    fresh = f"Certificate: {certificate.samples:,} independent units, {failures_text(certificate)}"
-    return Report(
-        title=answer.study.name,
-        content=(
-            Note(headline(answer)),
-            *tolerance_tables(answer),
-            *influence_tables(answer.study, answer.after.influence),
-            requirement_table(answer),
-            *unlimited_tables(answer.unlimited, answer.study),
-            Note("\n".join([fresh, *limits_of_the_answer(answer)])),
-            *figures(answer),
-        ),
-        status=answer.allocation.status,
-        ok=answer.allocation.status == "OPTIMAL",
-        data=_data(answer),
-        files={"study.toml": answer.study.text.encode(), stored_result.FILE: stored_result.stored(answer)},
-    )
 
 
 def moved(allocation: Allocation) -> float:
@@ -228,7 +194,7 @@ def requirement_table(answer: Answer) -> Table:
     return Table.of(RequirementRow, "requirements", rows, without=without, note=price_text(study, prices))
 
 
-def _data(answer: Answer) -> dict[str, object]:
+def data_of(answer: Answer) -> dict[str, object]:
     """Result as JSON values in SI, without single units."""
     study, allocation = answer.study, answer.allocation
     graded = allocation.graded

@@ -14,11 +14,9 @@ from rvjax import assembly, study
 from rvjax.assembly import Plan
 from rvjax.base import progress
 from rvjax.base.files import versions
-from rvjax.commands.assemble.parts import REST, Bench as Bench, bench, unit_values
-from rvjax.commands.assemble.prices import Price as Price, price_table, prices as prices
-from rvjax.commands.assemble.section import Assembly as Assembly, section as section, table_of
-from rvjax.commands.console import READING, WRITING
-from rvjax.commands.inputs import (
+from rvjax.commands import (
+    READING,
+    WRITING,
     Inputs,
     argument,
     encoding_option,
@@ -27,6 +25,15 @@ from rvjax.commands.inputs import (
     study_argument,
     switch,
 )
+from rvjax.commands.assemble.matching import (
+    Bench as Bench,
+    Price as Price,
+    bench,
+    price_table,
+    prices as prices,
+    unit_values,
+)
+from rvjax.commands.assemble.parts import REST, Assembly as Assembly, section as section, table_of
 from rvjax.mounting import disc_mountings, drawing
 from rvjax.records import PyTree
 from rvjax.render import CSV, TEXT, Cell, Figure, Interval, Note, Number, Quantity, Report, Table, Text, results_folder

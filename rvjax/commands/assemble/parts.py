@@ -1,31 +1,90 @@
-"""A list of measured parts, as kinds in the slots of a reducer."""
+"""The table [assembly] of a study, and the list of measured parts: rows, and the parts of a kind in its slots."""
 
 import dataclasses
-import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from rvjax.assembly import Kind, Machine, Part, Plan, UnitResponse, draw, known as known_parts, outliers, supply_of
+from rvjax.assembly import (
+    OBJECTIVES,
+    Kind,
+    Part,
+)
 from rvjax.base import columns
 from rvjax.base.cells import MARKS, read_cells
-from rvjax.base.encoding import guessed
-from rvjax.base.fields import axis_sizes, element as element_name, place_of, value_text
-from rvjax.base.numbers import number_of
-from rvjax.commands.assemble.section import table_of
+from rvjax.base.fields import axis_sizes, element as element_name, place_of
+from rvjax.base.text import guessed, number_of
 from rvjax.mounting import AXES, carried, disc_mountings, drawing
 from rvjax.records import PyTree
-from rvjax.study import KINDS, Study, StudyError, kind_of
-from rvjax.tolerances import Requirement, Tolerance
+from rvjax.study import Study, StudyError, choice, integer, known, quantity, subtable
+from rvjax.tolerances import Tolerance
 from rvjax.units import KNOWN, recognised, unknown_unit
 
 WORDS = ("kind", "id", "stock")
 REST = "rest"
 """Slot of all errors with a tolerance and without parts: not measured, independent in each unit."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Assembly:
+    """Options for matching measured parts: the table [assembly].
+
+    Attributes:
+        response: that decides; None: the only requirement.
+        objective: "mean", "bottleneck" or "yield".
+        turned: discs may be turned over and carriers turned.
+        draws: samples of the unmeasured errors, for the choice.
+        certificate_draws: independent samples, for the statistics of the result.
+        sd: standard deviation of the measurement by error, SI.
+    """
+
+    response: str | None = None
+    objective: str = "mean"
+    turned: bool = True
+    draws: int = 64
+    certificate_draws: int = 1024
+    sd: Mapping[str, float] = dataclasses.field(default_factory=dict)
+
+
+def table_of(study: Study) -> Assembly:
+    """The table [assembly] of a study, or what holds without it."""
+    found = study.sections.get("assembly")
+    return found if isinstance(found, Assembly) else Assembly()
+
+
+def section(table: Mapping[str, object], loaded: Study) -> Assembly:
+    """The table [assembly] of a study.
+
+    Args:
+        table: as written.
+        loaded: the study.
+
+    Raises:
+        ValueError: names the key, its value and the unit.
+    """
+    known(table, {f.name for f in dataclasses.fields(Assembly)}, "assembly")
+    found: dict[str, PyTree] = {}
+    if "response" in table:
+        found["response"] = choice(table["response"], loaded.requirements, "assembly.response")
+    if "objective" in table:
+        found["objective"] = choice(table["objective"], OBJECTIVES, "assembly.objective")
+    if "turned" in table:
+        if not isinstance(table["turned"], bool):
+            raise ValueError(f"assembly.turned = {table['turned']!r}: must be true or false")
+        found["turned"] = table["turned"]
+    for key, most in (("draws", 4096), ("certificate_draws", 1_000_000)):
+        if key in table:
+            found[key] = integer(table[key], f"assembly.{key}", 1, most)
+    sd = subtable(table, "sd")
+    units = {f.name: f.metadata["unit"] for f in dataclasses.fields(loaded.design.error_record)}
+    known(sd, units, "assembly.sd")
+    found["sd"] = {name: quantity(value, units[name], f"assembly.sd.{name}") for name, value in sd.items()}
+    for name, value in found["sd"].items():
+        if value < 0:
+            raise ValueError(f"assembly.sd.{name} = {sd[name]!r}: must be zero or positive")
+    return Assembly(**found)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,148 +102,7 @@ class Row:
     comma: bool
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Bench:
-    """Parts of a study, ready to be matched.
-
-    Attributes:
-        response: (parts, index) -> Outcome of the response that decides.
-        kinds: parts by slot.
-        name: of the response.
-        requirement: on it.
-        costly: a unit is so expensive that only those are solved that can enter the plan.
-        unusual: a line for each part far beyond its limits or its lot, the furthest of each kind first.
-        notes: how the file was read.
-    """
-
-    response: UnitResponse
-    kinds: dict[str, Kind]
-    name: str
-    requirement: Requirement
-    costly: bool = False
-    unusual: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-
-    @property
-    def sense(self) -> int:
-        """-1 where large values are good, because the requirement has a lower limit only; else 1."""
-        return -1 if self.requirement.upper == math.inf else 1
-
-    @property
-    def small(self) -> tuple[UnitResponse, Requirement]:
-        """Response whose small values are good, and the requirement on it."""
-        if self.sense > 0:
-            return self.response, self.requirement
-        limits = dict(lower=-math.inf, upper=-self.requirement.lower)
-        return self._mirrored, dataclasses.replace(self.requirement, **limits)
-
-    def _mirrored(self, parts: PyTree, index: PyTree) -> PyTree:
-        return jax.tree.map(
-            lambda leaf: leaf if jnp.issubdtype(leaf, jnp.integer) else -leaf, self.response(parts, index)
-        )
-
-
-def bench(study: Study, path: str | Path, *, encoding: str | None = None) -> Bench:
-    """Parts of a study from a CSV file.
-
-    The first line names the columns: `kind` ("disc", "crank", "carrier", or any name for parts that hold whole errors,
-    such as pins or bearings), `id`, if wanted `stock`, and measured errors with their unit: "bearing_clearance [um]",
-    "disc_bore[0,1] [um]" (crank 0, tangential). An empty cell is an error that this part does not have, or that was
-    not measured where others of its kind have it.
-
-    Args:
-        study: design, tolerances (the populations), requirements and measurement uncertainties.
-        path: of the file.
-        encoding: of the file, such as "cp932"; None: UTF-8, UTF-16 or a guess.
-
-    Raises:
-        StudyError: names file, line, column and value.
-    """
-    if (unit_errors := kind_of(study.design).unit_errors) is None:
-        able = " and ".join(kind.plural for kind in KINDS.values() if kind.unit_errors)
-        raise StudyError(f"{study.name}: parts are matched for {able} only")
-    name, requirement = _asked(study)
-    rows, notes = _rows(Path(path), encoding)
-    groups: dict[str, list[Row]] = {}
-    for row in rows:
-        groups.setdefault(row.cells["kind"], []).append(row)
-    kinds: dict[str, Kind] = {}
-    unusual: list[str] = []
-    taken: set[str] = set()
-    for kind, own in groups.items():
-        slots, fields = _slots(study.design, kind, path)
-        made = _kind(study, path, kind, own, fields, slots)
-        unusual += _unusual(study, kind, made, own)
-        for slot in slots:
-            if slot in kinds:
-                raise StudyError(f"{path}: {slot} has parts of two kinds")
-            kinds[slot] = made
-        taken |= {field for part in made.parts for field in part.errors}
-    if len(kinds) < 2:
-        raise StudyError(f"{path}: has parts of {', '.join(kinds)} only; list parts of at least two slots")
-    rest = {f: getattr(study.tolerances, f) for f in study.fields if f not in taken}
-    if rest:
-        zeros = {f: np.zeros(tolerance.shape) for f, tolerance in rest.items()}
-        pieces = min(int(kind.pieces.sum()) for kind in kinds.values())
-        kinds[REST] = Kind([Part("any", zeros, math.inf)], stock=[pieces], population=rest)
-    outcome = study.response_of(name)
-    design = study.design
-    return Bench(
-        lambda parts, index: outcome(unit_errors(design, parts, index)), kinds, name, requirement, outcome.costly,
-        tuple(unusual), tuple(notes),
-    )  # fmt: skip
-
-
-def _unusual(study: Study, kind: str, made: Kind, rows: list[Row]) -> list[str]:
-    """Lines on the parts of a kind that may have a wrong unit."""
-    places = {row.cells["id"]: row.number for row in rows}
-    lines = []
-    for one in outliers(made):
-        value = value_text(one.value, study.unit(one.name.partition("[")[0]))
-        lines.append(one.text(f"row {places[str(one.id)]}, {kind} {one.id}", value))
-    return lines
-
-
-def unit_values(found: Bench, seed: int, plan: Plan | None = None, count: int = 1024) -> np.ndarray:
-    """Responses of units with the unmeasured errors of their parts sampled; nan for a failed unit (count,).
-
-    Args:
-        found: parts.
-        seed: of the random numbers.
-        plan: whose units are valued in turn; None: pieces taken by chance, in any position.
-        count: of values.
-    """
-    by_kind = {id(kind): known_parts(kind, slot) for slot, kind in found.kinds.items()}
-    slots = {slot: by_kind[id(kind)] for slot, kind in found.kinds.items()}
-    machine, weight = Machine(found.response, slots), supply_of(slots).weight()
-    rng = np.random.default_rng([seed, 7])
-    if plan is None:
-        cells = np.argwhere(weight > 0)
-        place = cells[rng.choice(len(cells), count, p=weight[weight > 0] / weight.sum())]
-        turn = machine.indices[rng.integers(len(machine.indices), size=count)]
-    else:
-        places = [{one.id_of(k): k for k in range(len(one.order))} for one in slots.values()]
-        built = [[own[unit[slot]] for own, slot in zip(places, slots)] for unit in plan.build]
-        units = np.arange(count) % len(built)
-        place, turn = np.array(built)[units], np.array([[at[slot] for slot in slots] for at in plan.index])[units]
-    return machine.values(draw(slots, seed, 7, count, alike=False), place, turn, np.arange(count))
-
-
-def _asked(study: Study) -> tuple[str, Requirement]:
-    """The response that decides, and its requirement."""
-    name = table_of(study).response
-    if name is None:
-        if len(study.requirements) > 1:
-            listed = ", ".join(study.requirements)
-            raise StudyError(f"{study.name}: assembly.response is missing; name one of {listed}")
-        name = next(iter(study.requirements))
-    requirement = study.requirements[name]
-    if not isinstance(requirement, Requirement):
-        raise StudyError(f"{study.name}: requirement.{name}: parts are matched for limits of single units only")
-    return name, requirement
-
-
-def _rows(path: Path, encoding: str | None) -> tuple[list[Row], list[str]]:
+def rows_of(path: Path, encoding: str | None) -> tuple[list[Row], list[str]]:
     """Rows of the list; a note on a guessed encoding."""
     try:
         cells = read_cells(
@@ -209,7 +127,7 @@ def _rows(path: Path, encoding: str | None) -> tuple[list[Row], list[str]]:
     return rows, guessed(cells.notes)
 
 
-def _slots(design: PyTree, kind: str, path: str | Path) -> tuple[list[str], dict[str, tuple[int, ...]]]:
+def slots_of(design: PyTree, kind: str, path: str | Path) -> tuple[list[str], dict[str, tuple[int, ...]]]:
     """Slots that a kind of parts feeds, and the errors it may hold with their shapes."""
     shapes = {f.name: axis_sizes(f.metadata["shape"], design.counts) for f in dataclasses.fields(design.error_record)}
     several = {part: held for part in AXES if (held := carried(design, part))}  # a single shaft is no crank
@@ -225,7 +143,7 @@ def _slots(design: PyTree, kind: str, path: str | Path) -> tuple[list[str], dict
     return [kind], {name: shape for name, shape in shapes.items() if not any(name in own for own in several.values())}
 
 
-def _kind(
+def kind_of_rows(
     study: Study,
     path: str | Path,
     kind: str,

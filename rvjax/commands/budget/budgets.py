@@ -26,8 +26,7 @@ from rvjax import models
 from rvjax._jax.sizes import AT_ONCE
 from rvjax.base.progress import progress_bar
 from rvjax.base.words import choose
-from rvjax.commands.budget.effects import FEWEST, MOST, Load, by_level, of_load, parts_of, squares
-from rvjax.commands.curves import curves_of
+from rvjax.commands.budget.effects import FEWEST, MOST, Load, by_level, curves_of, of_load, parts_of, squares
 from rvjax.outputs import Curve, torque_condition, torque_of
 from rvjax.population import Population, drawn, root_key
 from rvjax.response import BLOCK, elements, numbers_of, parts

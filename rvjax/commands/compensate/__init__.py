@@ -12,10 +12,9 @@ import rvjax
 from rvjax import study
 from rvjax.base import progress
 from rvjax.base.files import versions
-from rvjax.commands import measurement
-from rvjax.commands.compensate.corrections import Corrections, Curve, corrections, periodic
-from rvjax.commands.console import READING, WRITING
-from rvjax.commands.inputs import (
+from rvjax.commands import (
+    READING,
+    WRITING,
     Inputs,
     argument,
     encoding_option,
@@ -26,6 +25,8 @@ from rvjax.commands.inputs import (
     switch,
     whole_number,
 )
+from rvjax.commands.cells import findings_data, measurement_section, measurement_warnings
+from rvjax.commands.compensate.corrections import Corrections, Curve, corrections, periodic
 from rvjax.compensation import FORMS, Correction, Left, exported, predicted, residual, table
 from rvjax.measured import Finding, findings, foreign
 from rvjax.records import PyTree
@@ -157,7 +158,7 @@ def report(inputs: CompensateInputs, found: Corrections) -> Report:
         title=f"{study.name}: compensation",
         content=(
             Note(head),
-            *([Note("\n".join(said))] if (said := measurement.warnings(found_in)) else []),
+            *([Note("\n".join(said))] if (said := measurement_warnings(found_in)) else []),
             _curves(curves, left),
             *_crossed(curves),
             Note(rest),
@@ -165,7 +166,7 @@ def report(inputs: CompensateInputs, found: Corrections) -> Report:
             *([Note("\n".join(found.notes))] if found.notes else []),
             _orders(curves),
             *(_figure(curve, end) for curve, end in zip(curves, _ends(curves))),
-            *measurement.section(found_in, [_measured(curve, end) for curve, end in zip(curves, _ends(curves))]),
+            *measurement_section(found_in, [_measured(curve, end) for curve, end in zip(curves, _ends(curves))]),
         ),
         page="",
         data=_data(inputs, found, left, found_in),
@@ -280,7 +281,7 @@ def _data(
             "residual_rms": curve.after,
             "held_out_rms": curve.held_out and list(curve.held_out),
             "not_stored": curve.fit.unsure,
-            "measurement": measurement.as_data(found_in[curve.label]),
+            "measurement": findings_data(found_in[curve.label]),
             "noise_sd": curve.found.residual_sd,
             "error_bound": rows.error_bound,
             "predicted": stays,

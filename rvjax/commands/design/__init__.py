@@ -9,14 +9,13 @@ from rvjax import study
 from rvjax._jax.solved_state import moving
 from rvjax.base.files import versions
 from rvjax.catalogue import steep
-from rvjax.commands.allocate import stored_result
+from rvjax.commands import READING, WRITING, Inputs, argument, option, quiet_option, results_option, share_cores, switch
+from rvjax.commands.allocate import answer
 from rvjax.commands.cells import assumed_text, failures_text, limits_data
-from rvjax.commands.console import READING, WRITING, share_cores
+from rvjax.commands.check import forewarn
 from rvjax.commands.design.optimum import JOINT, STEPS, TRADE, UNSCALED, Designed, Point, optima
 from rvjax.commands.design.prices import block, price_note, script, slope, unit_of_number
 from rvjax.commands.design.tables import headline, laws_of, numbers, others, requirements_of, saved_part, tolerances_of
-from rvjax.commands.forecast import forewarn
-from rvjax.commands.inputs import Inputs, argument, option, quiet_option, results_option, switch
 from rvjax.population import sample
 from rvjax.render import Figure, Note, Report, Section, leading_comment, results_folder
 from rvjax.study import Study, StudyError, kind_of, number_at, outside, shown
@@ -71,7 +70,7 @@ class DesignInputs(Inputs):
         self.points = 0 if self.alone or not self.study.objective else usual if self.front is None else self.front
         self.folder = results_folder(self.results, f"{self.study.name}-design")
         forewarn(self.study)
-        self.memo = stored_result.memo(self.study, self.folder)
+        self.memo = answer.memo(self.study, self.folder)
 
 
 def _refuse_unread(asked: Study) -> None:

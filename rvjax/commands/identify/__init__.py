@@ -8,8 +8,8 @@ import numpy as np
 
 from rvjax import identify, study
 from rvjax.base.files import versions
-from rvjax.commands import measurement
-from rvjax.commands.console import READING, WRITING
+from rvjax.commands import READING, WRITING, Inputs, argument, encoding_option, quiet_option, results_option, switch
+from rvjax.commands.cells import findings_data
 from rvjax.commands.identify.identified import (
     FITTING,
     RANKING,
@@ -17,13 +17,13 @@ from rvjax.commands.identify.identified import (
     Identified as Identified,
     answer as answer,
     check as check,
+    field_of,
 )
 from rvjax.commands.identify.tables import content, figures, orders_of_parts
 from rvjax.commands.identify.words import (
     Combination,
     combinations as combinations,
     elements as elements,
-    field_of,
     head_of,
     headline as headline,
     in_words as in_words,
@@ -31,7 +31,6 @@ from rvjax.commands.identify.words import (
     rounded as rounded,
     verdict_line as verdict_line,
 )
-from rvjax.commands.inputs import Inputs, argument, encoding_option, quiet_option, results_option, switch
 from rvjax.render import Report, leading_comment, results_folder
 from rvjax.study import field_unit, identification_of, read_measured
 from rvjax.units import arcsec
@@ -170,7 +169,7 @@ def _data(found: Identified) -> dict[str, object]:
         said["draws"] = {key: getattr(found.draws, key) for key in ("trusted", "r_hat", "ess", "divergences")}
     best = next(iter(found.gains or {}), None)
     said["next"] = None if best is None else {"chosen": best, "gains": found.gains}
-    said["measurement"] = {name: measurement.as_data(several) for name, several in found.findings.items()}
+    said["measurement"] = {name: findings_data(several) for name, several in found.findings.items()}
     said |= {"noise": found.problem.sd, "runs": [run.text() for run in found.problem.runs]}
     said |= {"notes": list(found.problem.notes)} if found.problem.notes else {}
     return said | {"seed": found.study.seed, "versions": versions()}

@@ -7,9 +7,23 @@ import numpy as np
 
 from rvjax import identify
 from rvjax.base import progress
+from rvjax.base.fields import place_of
 from rvjax.measured import KINDS, Finding, foreign, judge
 from rvjax.records import PyTree
-from rvjax.study import Measured, Problem, Run, Study, candidates, inverse_problem, kind_of, order_name, orders_of
+from rvjax.study import (
+    NUISANCES,
+    Measured,
+    Problem,
+    Run,
+    Study,
+    candidates,
+    field_unit,
+    inverse_problem,
+    kind_of,
+    order_name,
+    orders_of,
+)
+from rvjax.units import KNOWN, arcsec, readable
 
 REJECTED = ("REJECTED", "MAX_STEPS", "NONFINITE")
 """Statuses without a result."""
@@ -206,3 +220,22 @@ def _bands(case: Problem, found: identify.Posterior) -> tuple[Band, ...]:
         taken = (taken[0], 0.0, 0.0) if 1 in orders else taken
         bands.append(Band(run, angle, value, value - half, value + half, taken))
     return tuple(bands)
+
+
+def field_of(name: str) -> str:
+    """Field of an element: "crank_phase[1]" -> "crank_phase"."""
+    return place_of(name)[0]
+
+
+def unit_of(answer: Identified, name: str) -> tuple[str, str, float]:
+    """SI unit of an element, and name and size of the unit in which a person reads it.
+
+    Args:
+        answer: with its study.
+        name: of the element.
+    """
+    field = field_of(name)
+    unit = field_unit(answer.study.design, field)
+    if field in NUISANCES and unit == "rad":
+        return unit, "arcsec", arcsec
+    return (unit, "N/um", KNOWN["N/m"]["N/um"]) if unit == "N/m" else (unit, *readable(unit))

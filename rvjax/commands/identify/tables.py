@@ -10,19 +10,17 @@ import numpy as np
 
 import rvjax
 from rvjax.base.fields import place_of
-from rvjax.commands import measurement
-from rvjax.commands.identify.identified import Band, Identified
+from rvjax.commands.cells import measurement_section, measurement_warnings
+from rvjax.commands.identify.identified import Band, Identified, field_of, unit_of
 from rvjax.commands.identify.words import (
     combinations,
     doubts,
     elements,
-    field_of,
     head_lines,
     head_of,
     headline,
     next_lines,
     shares_text,
-    unit_of,
     verdict_line,
 )
 from rvjax.identify import mapped_values
@@ -66,7 +64,7 @@ def content(found: Identified, drawn: dict[str, Figure]) -> list[Content]:
     unknown = f"The data do not determine {', '.join(silent)}: only the limits of the drawing are known."
     said = [verdict_line(found), *([unknown] if silent else [])]
     content: list[Content] = [Note(headline(found), only_text), Note("\n".join(said), only_text)]
-    if warned := [*doubts(found), *measurement.warnings(found.findings)]:
+    if warned := [*doubts(found), *measurement_warnings(found.findings)]:
         content.append(Note("\n".join(warned)))
     if curves := [figure for name, figure in drawn.items() if name.startswith(("curve_", "loop"))]:
         points = (
@@ -77,7 +75,7 @@ def content(found: Identified, drawn: dict[str, Figure]) -> list[Content]:
         parts: list[Note | Table | Figure] = [Note(points, only_page), *curves]
         parts += [Note(f"{left} more runs are not plotted.", only_page)] if left > 0 else []
         content.append(Section("Measured and identified", (*parts, *_named(drawn, "orders"))))
-    content += measurement.section(found.findings, [f for name, f in drawn.items() if name.startswith("measurement")])
+    content += measurement_section(found.findings, [f for name, f in drawn.items() if name.startswith("measurement")])
     content.append(Section("Identifiable errors", (_seen(found), *([Note(unknown, only_page)] if silent else []))))
     content.append(Section("Every element", (*_named(drawn, "elements"), *_elements(found))))
     if found.problem.notes:

@@ -12,13 +12,12 @@ import numpy as np
 from scipy import optimize, stats
 
 from rvjax import identify
-from rvjax.base.fields import element, place_of
-from rvjax.commands.identify.identified import Identified
+from rvjax.base.fields import element
+from rvjax.commands.identify.identified import Identified, field_of, unit_of
 from rvjax.loaded import HEAD_PARTS
 from rvjax.records import PyTree
 from rvjax.render import Quantity
-from rvjax.study import NUISANCES, field_unit
-from rvjax.units import KNOWN, arcsec, deg, readable
+from rvjax.units import arcsec, deg
 
 
 @dataclass(frozen=True)
@@ -170,25 +169,6 @@ class Combination:
         said += f" = {self.value.text()}" if self.value else ""
         said += f" with {rest} of its square" if self.terms and rest else ""
         return f"{said}: to {100 * self.known:.3g} % of the range of the drawing"
-
-
-def field_of(name: str) -> str:
-    """Field of an element: "crank_phase[1]" -> "crank_phase"."""
-    return place_of(name)[0]
-
-
-def unit_of(answer: Identified, name: str) -> tuple[str, str, float]:
-    """SI unit of an element, and name and size of the unit in which a person reads it.
-
-    Args:
-        answer: with its study.
-        name: of the element.
-    """
-    field = field_of(name)
-    unit = field_unit(answer.study.design, field)
-    if field in NUISANCES and unit == "rad":
-        return unit, "arcsec", arcsec
-    return (unit, "N/um", KNOWN["N/m"]["N/um"]) if unit == "N/m" else (unit, *readable(unit))
 
 
 def in_words(terms: Mapping[str, float]) -> str:

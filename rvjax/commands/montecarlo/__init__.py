@@ -14,10 +14,19 @@ from rvjax import tolerances
 from rvjax._jax.distributed import meet
 from rvjax._jax.sizes import CHUNK
 from rvjax.base import progress
+from rvjax.commands import (
+    READING,
+    Inputs,
+    option,
+    quiet_option,
+    share_cores,
+    study_argument,
+    switch,
+    units_placed,
+    whole_number,
+)
 from rvjax.commands.cells import evaluated, failures_text, met_text, searched_texts, share
-from rvjax.commands.console import READING, share_cores, units_placed
-from rvjax.commands.forecast import forewarn, unit_seconds
-from rvjax.commands.inputs import Inputs, option, quiet_option, study_argument, switch, whole_number
+from rvjax.commands.check import forewarn, unit_seconds
 from rvjax.commands.montecarlo import batch
 from rvjax.render import Column, Note, Number, Quantity, Report, Table, Text
 from rvjax.study import Study

@@ -10,15 +10,23 @@ import rvjax
 from rvjax import study
 from rvjax.base import progress
 from rvjax.base.files import check_writable
+from rvjax.commands import (
+    READING,
+    Inputs,
+    option,
+    quiet_option,
+    share_cores,
+    study_argument,
+    switch,
+    tell,
+    units_placed,
+)
 from rvjax.commands.allocate import FILE, Answer, answer, headline, report_on, restored_from
 from rvjax.commands.budget import budget_if_any, section_on
-from rvjax.commands.console import READING, share_cores, tell, units_placed
-from rvjax.commands.forecast import expected, forewarn, phases_of, seconds_of_units
-from rvjax.commands.inputs import Inputs, option, quiet_option, study_argument, switch
+from rvjax.commands.check import expected, forewarn, phases_of, seconds_of_units
 from rvjax.commands.report import response_surface
-from rvjax.commands.report.bearings import bearing_section
+from rvjax.commands.report.bearings import bearing_section, lives_if_any
 from rvjax.commands.report.friction import friction_section, losses_if_any
-from rvjax.commands.report.lives import lives_if_any
 from rvjax.commands.report.page import Shown as Shown, page_of as page_of
 from rvjax.commands.report.sliders import cost_data as cost_data, script_of as script_of
 from rvjax.records import PyTree

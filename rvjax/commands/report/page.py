@@ -1,13 +1,13 @@
-"""Result of a study as one HTML page: plots inside, nothing fetched; for screen, phone and paper.
-
-Scripts only add a section with sliders; without them the page says everything else.
-"""
+"""Result of a study as one HTML page for screen, phone and paper; scripts only add a section with sliders."""
 
 import dataclasses
 import shlex
 from dataclasses import dataclass
 
+import numpy as np
+
 from rvjax import catalogue, levels, models
+from rvjax._jax.sizes import PULLED, padded
 from rvjax.base.words import words
 from rvjax.commands.allocate import (
     Answer,
@@ -19,10 +19,11 @@ from rvjax.commands.allocate import (
     unlimited_tables,
     unlimited_texts,
 )
-from rvjax.commands.cells import condition_text, influence_tables, share
-from rvjax.commands.forecast import shown_values
+from rvjax.commands.budget.effects import influence_tables
+from rvjax.commands.cells import against_limit, condition_text, share
+from rvjax.commands.check import shown_values
 from rvjax.commands.report import response_surface, sliders
-from rvjax.commands.report.worst_units import SHARE_SHOWN, rows_of, worst_units
+from rvjax.population import Population, root_key
 from rvjax.records import PyTree
 from rvjax.render import (
     Block,
@@ -39,10 +40,14 @@ from rvjax.render import (
     Titled,
     leading_comment,
 )
+from rvjax.response import elements, numbers_of
 from rvjax.status import MEANING, Status
 from rvjax.study import Study, facts_of, kind_of, shown
 from rvjax.tolerances import Estimate
-from rvjax.units import with_unit
+from rvjax.units import readable, with_unit
+
+EACH = 2  # worst units of a requirement
+SHARE_SHOWN = 0.01  # of the variance: errors below it are not listed for a worst unit
 
 
 @dataclass(frozen=True)
@@ -132,8 +137,8 @@ def _boxes(answer: Answer) -> list[tuple[str, str, str]]:
         ("cost after", f"{allocation.cost:.3f}", f"{change:+.1f} %"),
     ]
     if graded := allocation.graded:
-        sure = "certified" if graded.status == "OPTIMAL" else graded.status
-        boxes.append(("cost with ISO 286 grades", f"{graded.cost:.3f}", sure))
+        status = "certified" if graded.status == "OPTIMAL" else graded.status
+        boxes.append(("cost with ISO 286 grades", f"{graded.cost:.3f}", status))
     if (joint := certificate.joint_yield) is not None:
         value, _, interval = share(joint).text().partition(" [")
         boxes.append(("all requirements at once", value, f"[{interval}"))
@@ -261,3 +266,85 @@ def _value(value: PyTree, unit: str) -> str:
     if getattr(value, "shape", ()) or isinstance(value, list | tuple):
         return ", ".join(_value(item, unit) for item in value)
     return shown(value, unit) if unit != "-" else f"{float(value):.6g}"
+
+
+@dataclass(frozen=True)
+class WorstUnit:
+    """One unit with the allocated tolerances.
+
+    Attributes:
+        index: number of the unit; `tolerances.sample` with the seed of the sample replays it.
+        requirement: that it is worst in, or "" for a unit that failed.
+        status: name of its status.
+        values: {response: value}, SI; nan where it failed.
+        errors: {field: value of every element}, SI.
+    """
+
+    index: int
+    requirement: str
+    status: str
+    values: dict[str, float]
+    errors: dict[str, np.ndarray]
+
+
+def worst_units(answer: Answer) -> list[WorstUnit]:
+    """First failed unit of each status, then the worst units of each requirement, in the sample of the histograms."""
+    study, side = answer.study, answer.after
+    found = [(index, "", status) for status, index in side.failed.items()]
+    for name, requirement in study.requirements.items():
+        if not requirement.of_units:
+            continue
+        margin = np.asarray(requirement.margin(side.values[name]))
+        order = np.argsort(np.where(np.isfinite(margin), margin, -np.inf))[::-1]
+        found += [(int(index), name, "CONVERGED") for index in order[:EACH] if np.isfinite(margin[index])]
+    if not found:
+        return []
+    population = Population.of(side.tolerances)
+    indices = np.array([index for index, _, _ in found])
+    z = numbers_of(population, root_key(side.seed), padded(indices, PULLED))
+    drawn = [population.constants | population.by_field(unit) for unit in np.asarray(elements(population, z)).T]
+    return [
+        WorstUnit(
+            index=index,
+            requirement=name,
+            status=status,
+            values={other: float(side.values[other][index]) for other in study.requirements},
+            errors={f: np.ravel(drawn[k].get(f, 0.0)) for f in study.fields},
+        )
+        for k, (index, name, status) in enumerate(found)
+    ]
+
+
+def rows_of(answer: Answer, unit: WorstUnit) -> dict[str, object]:
+    """Title, responses, and the place of every error in its tolerance; of a vector, that of its length.
+
+    Args:
+        answer: of a study.
+        unit: one of its worst.
+    """
+    study, side = answer.study, answer.after
+    if unit.requirement:
+        shares = side.shares[unit.requirement]
+        fields = sorted((f for f in study.fields if shares[f] >= SHARE_SHOWN), key=lambda f: -shares[f])
+        requirement, output = study.requirements[unit.requirement], study.output(unit.requirement)
+        place = against_limit(unit.values[unit.requirement], requirement, output)
+        title, reason = f"Unit {unit.index:,}: {unit.requirement.replace('_', ' ')} {place}", f"status {unit.status}"
+    else:
+        fields, title = study.fields, f"Unit {unit.index:,} failed"
+        reason = f"status {unit.status}: {MEANING[Status[unit.status]]}"
+    responses = "; ".join(
+        f"{name.replace('_', ' ')} {with_unit(value / size, shown) if np.isfinite(value) else '-'}"
+        for name, value in unit.values.items()
+        for shown, size in [study.output(name).shown]
+    )
+    rows = []
+    for field in fields:
+        tolerance, values = getattr(side.tolerances, field), unit.errors[field]
+        if tolerance.is_vector:  # its tolerance limits the length
+            values = np.hypot(*values.reshape(-1, 2).T)
+        middle, half = float(tolerance.middle), float(tolerance.half_width)
+        shown, size = readable(study.unit(field))
+        places = (values - middle) / half if half > 0 else np.zeros_like(values)
+        largest = with_unit(values[int(np.argmax(np.abs(places)))] / size, shown, "+.2f")
+        rows.append({"name": field, "places": [float(x) for x in places], "value": largest})
+    return {"title": title, "said": f"{responses}; {reason}", "rows": rows}

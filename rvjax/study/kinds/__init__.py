@@ -1,23 +1,90 @@
-"""Descriptions of the kinds of reducers, one file or folder for each; of oscillatory roller reducers in this one."""
+"""Descriptions of the kinds of reducers: of RV and of oscillatory roller reducers here, of each other in one file."""
 
 from collections.abc import Collection, Iterable, Mapping
+from operator import attrgetter
+from typing import Any
 
 from rvjax.catalogue import shown
-from rvjax.designs import CamRollerReducer
+from rvjax.designs import CamRollerReducer, RVReducer
 from rvjax.mesh_force import largest_roller_radius, undercut_margin
+from rvjax.mounting import unit_errors
 from rvjax.records import PyTree, Record, Scalar
-from rvjax.study.kinds import cycloidal, rv
-from rvjax.study.kinds.following import (
+from rvjax.study.kinds import cycloidal
+from rvjax.study.kinds.kind import (
+    Assumed as Assumed,
+    Drawing as Drawing,
+    Kind as Kind,
+    Known as Known,
     Law as Law,
-    fields_of as fields_of,
-    fields_of_kind as fields_of_kind,
+    Start as Start,
     number_at as number_at,
     outside as outside,
     split as split,
 )
-from rvjax.study.kinds.kind import Assumed as Assumed, Drawing as Drawing, Kind as Kind, Known as Known, Start as Start
+from rvjax.study.kinds.rv_facts import (
+    DERIVED_FROM,
+    FOLLOWING,
+    RATED as RATED,
+    SPEED,
+    TORQUE as TORQUE,
+    derivation,
+    doubts,
+    facts,
+    followed,
+    implied,
+    of_another_size,
+    refuse,
+)
+from rvjax.study.kinds.rv_starts import NEEDED, STARTS, rated_torque
 
 __all__ = ["KINDS", "Kind", "changed", "facts_of", "kind_of", "orders_of"]
+
+
+def _rv_caption(design: RVReducer) -> str:
+    cycloid = design.cycloid
+    return (
+        f"Second stage along its axis, to scale; diameters: {cycloid.pin_count} pins of "
+        f"{shown(2 * cycloid.pin_radius, 'm')} on a circle of {shown(2 * cycloid.pin_circle_radius, 'm')}, one of "
+        f"{cycloid.disc_count} discs, {design.cranks.count} cranks on a circle of "
+        f"{shown(2 * design.cranks.circle_radius, 'm')}"
+    )
+
+
+def _rv_drawn(design: RVReducer) -> Any:
+    from rvjax.plotting import drawings  # only a drawing needs Matplotlib
+
+    return drawings.reducer(design)
+
+
+def _rv_compared(before: RVReducer, after: RVReducer) -> Any:
+    from rvjax.plotting import drawings
+
+    return drawings.before_and_after(before, after)
+
+
+_RV = Kind(
+    design=RVReducer,
+    name="an RV reducer",
+    facts=facts,
+    derivation=derivation,
+    derived_from=DERIVED_FROM,
+    followed=followed,
+    implied=implied,
+    following=FOLLOWING,
+    refuse=refuse,
+    doubts=doubts,
+    rated=RATED,
+    speed=SPEED,
+    of_another_size=of_another_size,
+    orders=attrgetter("orders"),
+    unit_errors=unit_errors,
+    drawing=Drawing(
+        _rv_drawn, _rv_caption, _rv_compared, "Section of the second stage, drawn to scale, before and after"
+    ),
+    starts=STARTS,
+    needed=NEEDED,
+    torque=rated_torque,
+)
 
 
 def _roller_doubts(design: CamRollerReducer) -> list[str]:
@@ -36,7 +103,7 @@ _CAM_ROLLER = Kind(
     starts={"": Start("corr")},
 )
 
-KINDS: dict[type, Kind] = {kind.design: kind for kind in (rv.KIND, _CAM_ROLLER, cycloidal.KIND)}
+KINDS: dict[type, Kind] = {kind.design: kind for kind in (_RV, _CAM_ROLLER, cycloidal.KIND)}
 """By the class of the design. A new kind of reducer is a module here, and its `KIND` in this tuple."""
 
 

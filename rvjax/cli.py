@@ -5,31 +5,34 @@ Bad input ends with one line on standard error and exit code 2; a study without 
 """
 
 import argparse
+import dataclasses
 import gc
+import inspect
 import io
 import logging
 import os
 import signal
 import sys
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from rvjax.base.words import refilled, terminal_width
 from rvjax.commands import (
     COMMANDS,
     EXIT_BAD_INPUT,
     EXIT_OK,
-    add_options,
+    Inputs,
+    flag_of,
     inputs_of,
     may_use_gpu,
-    read,
     run,
     say,
-    texts_of,
 )
+
+I = TypeVar("I", bound=Inputs)  # noqa: E741
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -85,7 +88,7 @@ def _parser(chosen: str = "") -> argparse.ArgumentParser:
     """All commands with their lines of help; the chosen one with its options, whose module takes a second to import."""
     import rvjax
 
-    about = tomllib.loads((resources.files("rvjax.cli") / "cli.toml").read_text("utf-8"))
+    about = tomllib.loads((resources.files("rvjax") / "cli.toml").read_text("utf-8"))
     parser = argparse.ArgumentParser("rvjax", None, about["description"], about["epilog"], formatter_class=_Formatter)
     parser.add_argument("--version", action="version", version=f"rvjax {rvjax.__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
@@ -97,6 +100,68 @@ def _parser(chosen: str = "") -> argparse.ArgumentParser:
             for flag, option in about["options"].items():
                 subparser.add_argument(flag, **option)
     return parser
+
+
+def texts_of(inputs: type[Inputs]) -> dict[str, str]:
+    """Description and epilog of a command."""
+    text, examples, rest = inspect.cleandoc(inputs.__doc__ or "").partition("\n\nexamples:")
+    return {"description": text, "epilog": f"{examples.strip()}{rest}\n"} if examples else {"description": text}
+
+
+def add_options(parser: argparse.ArgumentParser, inputs: type[Inputs]) -> None:
+    """Add the options of a command to its parser.
+
+    Args:
+        parser: of the command.
+        inputs: its class.
+    """
+    for field in dataclasses.fields(inputs):  # type: ignore[arg-type]
+        about, name = field.metadata, field.name
+        if about["flag"] == ".":
+            parser.add_argument(name, **about["parser"])
+        else:
+            parser.add_argument(about["flag"] or flag_of(name), dest=name, **about["parser"])
+
+
+def read(inputs: type[I], options: argparse.Namespace) -> I:
+    """The inputs that parsed options give.
+
+    Args:
+        inputs: their class.
+        options: as parsed.
+
+    Raises:
+        ValueError: one line that names the option or the key.
+    """
+    given = {}
+    for field in dataclasses.fields(inputs):  # type: ignore[arg-type]
+        about, value = field.metadata, getattr(options, field.name)
+        named = about["flag"] or flag_of(field.name)
+        if value is not None and about["ends"] is not None:
+            _check_file(str(value) if named == "." else f"{named} {value}", str(value), about["ends"])
+        if value is not None and about["unit"]:
+            value = _size(value, named, about)
+        given[field.name] = value
+    return inputs(**given)
+
+
+def _size(text: str, named: str, about: Mapping[str, Any]) -> float:
+    """Value of a text with a unit, SI."""
+    from rvjax.study import quantity  # the list of commands does not wait for JAX
+
+    value = quantity(text, about["unit"], named)
+    if (value <= 0 and about["sign"] == "positive") or (value < 0 and about["sign"] == "nonnegative"):
+        rule = "be positive" if about["sign"] == "positive" else "not be negative"
+        raise ValueError(f"{named} = {text!r}: must {rule}")
+    return value
+
+
+def _check_file(named: str, path: str, ends: str | tuple[str, ...]) -> None:
+    """Raise an error for a file that could not be written, before any work is done."""
+    if not path.endswith(ends):
+        raise ValueError(f"{named}: must end with {ends if isinstance(ends, str) else ' or '.join(ends)}")
+    if not Path(path).absolute().parent.is_dir():
+        raise ValueError(f"{named}: there is no such folder")
 
 
 class _Formatter(argparse.RawDescriptionHelpFormatter):

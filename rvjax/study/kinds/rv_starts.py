@@ -11,14 +11,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from rvjax.catalogue import ASSUMED, RV_40E_WHOLE, shown
+from rvjax.catalogue import ASSUMED, RV_40E_WHOLE, fields_of_kind, shown
 from rvjax.designs import InvoluteStage, RollerBearing, RVReducer
 from rvjax.life import static_rating
 from rvjax.population import it_width
 from rvjax.records import PyTree, Scalar
-from rvjax.study.kinds.following import Law, fields_of_kind, number_at, outside
-from rvjax.study.kinds.kind import Assumed, Known, Numbers, Start
-from rvjax.study.kinds.rv.facts import AXIAL, FOLLOWING, KNOWN_REDUCERS, LAWS, NAMES, RATED, SIZES
+from rvjax.study.kinds.kind import Assumed, Known, Law, Numbers, Start, number_at, outside
+from rvjax.study.kinds.rv_facts import AXIAL, FOLLOWING, KNOWN_REDUCERS, LAWS, NAMES, RATED, SIZES
 from rvjax.study.values import in_unit
 from rvjax.units import mm, um
 

@@ -1,13 +1,164 @@
-"""Sampling of a curve: passes of the angle, repeated readings, stroke, and the order at which the angles repeat."""
+"""Runs of a bench: conditions and findings, kinds of files with their columns, and the sampling of a curve.
 
+A kind has columns, how they are read, and nuisances of the bench. A sampling has passes of the angle, repeated
+readings, stroke, and the order at which the angles repeat.
+"""
+
+import dataclasses
 import functools
 import itertools
 import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import ClassVar, Protocol
 
 import numpy as np
 
-from rvjax.units import deg
+from rvjax.base.columns import Table
+from rvjax.units import deg, rpm
+
+DIRECTIONS = {"forward": 1, "backward": -1}
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Conditions of a measurement.
+
+    Attributes:
+        unit: name of the unit, "" where the file has no column for it.
+        torque: N m, None where the file does not say.
+        direction: "forward" or "backward".
+        temperature: degC, None where the file does not say.
+        speed: of the input, rad/s, None where the file does not say.
+        stated: whether the file has directions; without them every run is forward.
+    """
+
+    unit: str = ""
+    torque: float | None = None
+    direction: str = "forward"
+    temperature: float | None = None
+    speed: float | None = None
+    stated: bool = dataclasses.field(default=True, compare=False)
+
+    @property
+    def sign(self) -> int:
+        """1 forward, -1 backward: load opposes motion, so it is the sign of the torque of the discs on the carrier."""
+        return DIRECTIONS[self.direction]
+
+    def text(self) -> str:
+        """Text such as "412 N m forward, 25 degC"."""
+        torque = "" if self.torque is None else f"{self.torque:g} N m "
+        speed = "" if self.speed is None else f", {self.speed / rpm:g} r/min"
+        return f"{torque}{self.direction}{speed}" + ("" if self.temperature is None else f", {self.temperature:g} degC")
+
+
+def where(source: str, at: Conditions) -> str:
+    """Name a run in a message.
+
+    Args:
+        source: name of the file.
+        at: its conditions.
+    """
+    unit = f"unit {at.unit!r}, " if at.unit else ""
+    return f"{source}: {unit}run {at.text()}"
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """Transmission error along a turn of the output.
+
+    Attributes:
+        source: name of the file.
+        at: under which conditions.
+        angle: of the output, ascending or descending without jumps, rad (n,).
+        error: > 0: output ahead, rad (n,).
+        rows: lines of the file (n,); None where the run has none.
+    """
+
+    source: str
+    at: Conditions
+    angle: np.ndarray
+    error: np.ndarray
+    rows: np.ndarray | None = None
+
+    @property
+    def name(self) -> str:
+        """File, unit and conditions, for a message."""
+        return where(self.source, self.at)
+
+
+class Item(Protocol):
+    """Content of a file for one set of conditions."""
+
+    @property
+    def source(self) -> str:
+        """Name of the file."""
+
+    @property
+    def at(self) -> Conditions:
+        """Under which conditions."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Property of a measurement that limits a result.
+
+    Attributes:
+        name: such as "stroke".
+        value: in SI; NaN where the text alone says it.
+        unit: SI unit of the value.
+        text: a sentence; "" where the number is enough.
+        warning: it makes a result wrong or less certain.
+    """
+
+    name: str
+    value: float
+    unit: str
+    text: str = ""
+    warning: bool = False
+
+
+class Kind(ABC):
+    """A kind of bench file: quantities whose columns it must have, SI unit and example of a reading, nuisances."""
+
+    needs: ClassVar[tuple[str, ...]]
+    unit: ClassVar[str]
+    example: ClassVar[str]
+    nuisances: ClassVar[tuple[str, ...]] = ()
+
+    @abstractmethod
+    def read(self, table: Table, at: Conditions, rows: np.ndarray) -> Item:
+        """Read what was measured under some conditions.
+
+        Args:
+            table: of the file.
+            at: the conditions.
+            rows: of the table that were measured under them.
+
+        Raises:
+            ValueError: names file, row, column, value and unit.
+        """
+
+    def passes(self, table: Table, at: Conditions, rows: np.ndarray) -> Iterator[tuple[Conditions, np.ndarray]]:
+        """Conditions and rows of each item that rows of equal conditions hold.
+
+        Args:
+            table: of the file.
+            at: the conditions in the file.
+            rows: of the table that have them.
+        """
+        yield at, rows
+
+    def findings(self, item: Item, parts: Mapping[str, float]) -> tuple[Finding, ...]:
+        """Properties of a measurement that limit a result: sampling, noise, and what does not come from the reducer.
+
+        Args:
+            item: what was read.
+            parts: {name: order per output turn, a whole number or not} of what the reducer can cause.
+        """
+        return ()
+
 
 WHOLE = 359 * deg  # a stroke that counts as a whole revolution
 ALIKE = 0.5
@@ -97,22 +248,6 @@ def legs(angle: np.ndarray) -> list[slice]:
             return [slice(0, len(angle))]
     starts = [0, *(k + 1 for k in turns[1:]), len(angle)]
     return [slice(a, b) for a, b in itertools.pairwise(starts) if b - a > 1]
-
-
-def unwrapped(angle: np.ndarray) -> np.ndarray:
-    """Angle without jumps by a revolution; a single wrong angle adds none.
-
-    Args:
-        angle: in the order of time, rad (n,).
-    """
-    path = np.unwrap(angle)
-    steps = np.diff(path)
-    if len(steps) < 2 or np.median(np.abs(steps)) > math.pi / 4:
-        return path
-    across = np.diff(np.unwrap(np.stack([angle[:-2], angle[2:]]), axis=0), axis=0)[0]
-    added = np.round((steps[:-1] + steps[1:] - across) / (2 * math.pi))
-    steps[1:] -= np.where(np.abs(steps[1:]) > math.pi / 2, added, 0.0) * 2 * math.pi
-    return np.concatenate([path[:1], path[0] + np.cumsum(steps)]) if np.any(added) else path
 
 
 def without_spikes(values: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 from jax.scipy.special import log_ndtr
 from scipy import special
 
-from rvjax.population.distributions.classic import NODES, Normal, Rayleigh, central, interpolate, raw_rayleigh
+from rvjax.population.distributions import NODES, Normal, Rayleigh, central, interpolate, raw_rayleigh
 from rvjax.population.tolerance import Moments, Tolerance, bad
 from rvjax.records import Scalar, field, record, text
 from rvjax.roots import bisect
