@@ -7,9 +7,10 @@
     python -m benchmarks.optima --seeds 3                         spread of the ratio over seeds of the quick rows
 
 Gates: no cost more than 0.3 % above the frozen one, no status worse, no result called optimal below a known optimum,
-CPU seconds of the studies at most 25 % above the frozen ones. CPU seconds count only if nothing else ran on the
-computer during either run. Quick rows run twice in this process and the second run is timed. Studies and `rv-0` run
-once in their own process with kept programs, and again where they first had to compile these.
+no target of a study above the interval of its share of 16,384 other units, CPU seconds of the studies at most 25 %
+above the frozen ones. CPU seconds count only if nothing else ran on the computer during either run. Quick rows run
+twice in this process and the second run is timed. Studies and `rv-0` run once in their own process with kept programs,
+and again where they first had to compile these.
 """
 
 import argparse
@@ -34,14 +35,17 @@ import rvjax
 from benchmarks.optima_problems import PROBLEMS, Problem
 from benchmarks.timing import machine, settings
 from rvjax._jax import programs
+from rvjax.population import Population
+from rvjax.response import BLOCK, Response, response_names
 from rvjax.response.response import Compiled
-from rvjax.tolerances import Allocation, allocate
+from rvjax.tolerances import Allocation, Run, allocate
 
 ROOT = Path(__file__).parents[1]
 FROZEN, FOLDER = Path(__file__).with_suffix(".json"), ROOT / "build" / "optima"
 DEARER, SLOWER, BELOW, QUIET = 1.003, 1.25, 0.999, 0.1  # QUIET: cores that other work may use
 ORDER = ("OPTIMAL", "SUBOPTIMAL", "MAX_STEPS", "NOT_CERTIFIED", "INFEASIBLE")
 CERTIFIED = ORDER[:3]
+FRESH, FRESH_SEED = 16_384, 20_000
 VALUES = {"respond", "_solved"}  # programs that give values of units, and gradients
 SLOPES = {"pulled", "_pulled", "slopes", "_values_and_gradients"}
 HEAD = f"{'problem':36} {'status':14} {'cost':>9} {'ratio':>7} {'price':>7} {'units':>11} {'gradients':>9} {'CPU s':>6}"
@@ -77,9 +81,18 @@ def solved(problem: Problem, seed: int | None, runs: int) -> Row:
             start = time.process_time()
             found = allocate(*first, **given)
             seconds = time.process_time() - start
-    return figures(problem, found, known.optimum, known.prices) | {
+    row = figures(problem, found, known.optimum, known.prices) | {
         "units": evaluated["values"], "gradients": evaluated["gradients"], "seconds": round(seconds, 2),
     }  # fmt: skip
+    return row | ({"fresh": fresh(first[0], first[2], found)} if problem.kind == "study" else {})
+
+
+def fresh(response: Response, requirements: Any, found: Allocation) -> dict[str, tuple[float, float, float]]:
+    """Share of other units that keep each limit of a result, the upper end of its interval, and the target."""
+    population = Population.of(found.tolerances).replace(values=found.values or None)
+    limits = {name: item for name, item in requirements.items() if item.of_shares}
+    run = Run(response, population, response_names(response, population), limits, FRESH, FRESH_SEED, BLOCK, keep=False)
+    return {name: (share.value, share.upper, limits[name].target) for name, share in run.statistics().yield_.items()}
 
 
 def figures(problem: Problem, found: Allocation, optimum: float, exact: dict[str, float]) -> Row:
@@ -140,7 +153,8 @@ def shown(name: str, row: Row) -> str:
     price, ratio = (f"{x:.{d}f}" if x is not None else "" for x, d in
                     ((100 * max(errors) if errors else None, 1), (row["ratio"], 4)))  # fmt: skip
     line = f"{name:36} {row['status']:14} {row['cost']:9.5g} {ratio:>7} {price:>7} {row['units']:11,} "
-    return line + f"{row['gradients']:9,} {row['seconds']:6.2f}{'' if quiet(row) else ' *'}"
+    line += f"{row['gradients']:9,} {row['seconds']:6.2f}{'' if quiet(row) else ' *'}"
+    return line + "".join(f" {name} {100 * share:.3f}" for name, (share, *_) in row.get("fresh", {}).items())
 
 
 def quiet(row: Row) -> bool:
@@ -167,6 +181,9 @@ def failures(new: Row, old: Row) -> list[str]:
         ]  # fmt: skip
     if certified(new) and new["ratio"] is not None and new["ratio"] < BELOW:
         found.append(f"certified at {new['ratio']:.4f} of the optimum")
+    if certified(new):
+        shares = new.get("fresh", {}).items()
+        found += [f"{n}: {share:.5f} of other units for {aim}" for n, (share, upper, aim) in shares if upper < aim]
     if old["kind"] == "study" and quiet(new) and quiet(old) and new["seconds"] > SLOWER * old["seconds"]:
         found.append(f"CPU seconds {100 * (new['seconds'] / old['seconds'] - 1):.0f} % above")
     return found

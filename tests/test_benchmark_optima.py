@@ -37,6 +37,7 @@ def test_every_problem_has_a_frozen_row():
         ({"status": "NOT_CERTIFIED", "cost": 3.0, "ratio": 0.3}, "status NOT_CERTIFIED after OPTIMAL"),
         ({"cost": 9.88, "ratio": 0.998}, "certified at 0.9980 of the optimum"),
         ({"seconds": 25.2}, "CPU seconds 26 % above"),
+        ({"fresh": {"y": [0.987, 0.98999, 0.99], "b": [0.991, 0.993, 0.99]}}, "y: 0.98700 of other units for 0.99"),
     ],
 )
 def test_a_loss_fails_its_gate(changes, words):
@@ -49,6 +50,7 @@ def test_a_loss_fails_its_gate(changes, words):
         {},
         {"cost": 10.029, "graded": 11.03, "seconds": 24.9},
         {"cost": 9.9, "ratio": 0.9995},  # by the luck of a certificate
+        {"fresh": {"y": [0.987, 0.99, 0.99]}},
         {"seconds": 40.0, "others": 0.5},
         {"seconds": 40.0, "others": None},
     ],

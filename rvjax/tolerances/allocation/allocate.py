@@ -17,7 +17,7 @@ from rvjax.population import Correlation
 from rvjax.response import DesignResponse, Response, unwrapped
 from rvjax.tolerances.allocation.decisions import ROUNDING
 from rvjax.tolerances.allocation.grades import Grades
-from rvjax.tolerances.allocation.problem import KEPT, STAGES, problem_of
+from rvjax.tolerances.allocation.problem import problem_of
 from rvjax.tolerances.allocation.programme import COARSE, LOOKS, MET, End
 from rvjax.tolerances.allocation.result import Allocation, ranges
 from rvjax.tolerances.allocation.search import Search
@@ -145,8 +145,9 @@ def costs_of_yields(search: Search, end: End, yields: Sequence[float]) -> list[t
         return []
     goal = min((item.target for item in problem.requirements.values() if item.of_shares), default=1.0)  # type: ignore[attr-defined]
     points = list[tuple[float, float]]()
-    if problem.costly:
-        constraints.sample(min(constraints.count, STAGES[0]))
+    most, fresh_units = problem.effort.of_yields
+    if most:
+        constraints.sample(min(constraints.count, most))
     for side in (sorted((y for y in yields if y < goal), reverse=True), sorted(y for y in yields if y >= goal)):
         x = end.look.x
         for target in side:
@@ -158,7 +159,7 @@ def costs_of_yields(search: Search, end: End, yields: Sequence[float]) -> list[t
             if there.look.excess > 2 * MET:
                 continue
             x = there.look.x
-            samples = min(certifier.run.samples, STAGES[1] if problem.costly else KEPT)
+            samples = min(certifier.run.samples, fresh_units)
             fresh = dataclasses.replace(
                 certifier.run, population=search.decisions.population(x), samples=samples, keep=False
             )

@@ -17,7 +17,7 @@ from rvjax.status import Status
 from rvjax.tolerances.allocation.constraints import Constraints
 from rvjax.tolerances.allocation.look import DECIDES, FAILED, Look
 from rvjax.tolerances.allocation.near import NearUnits
-from rvjax.tolerances.allocation.problem import SPARE, Problem
+from rvjax.tolerances.allocation.problem import OF_QUICK, SPARE, Effort, Problem
 from rvjax.tolerances.allocation.sample import Values
 from rvjax.tolerances.allocation.tails import FEWEST
 from rvjax.tolerances.batch.statistics import Statistics, rejects
@@ -28,7 +28,6 @@ TESTS = 10
 """Certificates of one search, at most."""
 
 _RARE = 20_000, 200_000  # units behind a probability of failure
-_EXPECTED = 200  # rejects in a certificate of quick units, below which a probability of failure is more accurate
 _TRUSTED = {"OK", "SEVERAL_POINTS", "KINKED_POINT", "RARE_NOMINAL"}  # all but OK concern the reliability index alone
 _CLOSE = 0.9  # part of the rejects of a target that a probability of failure may show at first
 _MOST = 4.0  # factor on the wanted rejects by one certificate
@@ -101,7 +100,7 @@ class Certifier:
 
     def rare(self, item: Limits) -> bool:
         """True if a probability of failure certifies a limit."""
-        return _rare(item, self.run.samples, self.run.confidence, costly=self._problem.costly)
+        return _rare(item, self.run.samples, self.run.confidence, self._problem.effort)
 
     def wanted(self, constraints: Constraints, k: int) -> float:
         """Share of rejects that a certificate may show of a row on a share.
@@ -217,12 +216,12 @@ def units_of(requirements: Mapping[str, Limits], samples: int, confidence: float
         samples: independent units of a certificate.
         confidence: of its intervals.
     """
-    few = sum(_rare(item, samples, confidence, costly=False) for item in requirements.values())
+    few = sum(_rare(item, samples, confidence, OF_QUICK) for item in requirements.values())
     return samples + few * _rare_units(samples)
 
 
-def _rare(item: Limits, samples: int, confidence: float, *, costly: bool) -> bool:
-    few = not costly and item.of_shares and samples * (1 - getattr(item, "target", 0.0)) < _EXPECTED
+def _rare(item: Limits, samples: int, confidence: float, effort: Effort) -> bool:
+    few = item.of_shares and samples * (1 - getattr(item, "target", 0.0)) < effort.expected
     return few or item.beyond(samples, confidence)
 
 

@@ -19,14 +19,11 @@ from rvjax.response import response_names
 from rvjax.tolerances.allocation.decisions import AT, Decisions
 from rvjax.tolerances.allocation.look import DECIDES, FAILED, JOINT, Look, Row
 from rvjax.tolerances.allocation.near import Limited, NearUnits
-from rvjax.tolerances.allocation.problem import Problem
+from rvjax.tolerances.allocation.problem import FEW, Problem
 from rvjax.tolerances.allocation.sample import Units, Values
 from rvjax.tolerances.allocation.tails import Centres, Quantile, TailSample, centres_of, quantile
 from rvjax.tolerances.allocation.whole_sample import NominalOutputs, WholeSample
 from rvjax.tolerances.limits import Limits
-
-FEW = 512
-"""Units of the first look, and of a part of the response that does not decide."""
 
 _QUARTER = 2  # times as many quick units as are behind a slope, at least
 _SMALL = 1e-3  # way of a limit in parts of the spread, where the median lies beyond it
@@ -57,7 +54,7 @@ class Constraints(WholeSample):
         """Share of units (c,) that may lie beyond each limit on the sample; 0 where no share is limited."""
         self.aside: frozenset[str] = frozenset()
         self._near: NearUnits | None = None
-        self.sample(FEW if problem.costly else problem.sample)
+        self.sample(problem.effort.first or problem.sample)
 
     def target(self, k: int) -> float:
         """Share of units that a row lets lie beyond its limit; 0 where it limits no share."""
@@ -105,7 +102,7 @@ class Constraints(WholeSample):
 
     def place(self, x: np.ndarray) -> None:
         """Put quick units into the tails that decide at a vector."""
-        if self.problem.costly or not self.units.parts:
+        if not (self.problem.effort.tails and self.units.parts):
             return
         values, found = self.values(x), list[Centres]()
         for k, row in enumerate(self.rows):
@@ -129,7 +126,7 @@ class Constraints(WholeSample):
 
     def spare(self, look: Look) -> None:
         """Look at few costly units of responses whose limits do not decide."""
-        if not self.problem.costly or self.problem.joint_target is not None:
+        if self.problem.effort.tails or self.problem.joint_target is not None:
             return
         near = {row.name for k, row in enumerate(self.rows) if row.item is not None and look.used[k] > DECIDES}
         shares = {row.name for row in self.rows if row.share}
@@ -139,7 +136,7 @@ class Constraints(WholeSample):
     def by_quantiles(self) -> bool:
         """True if costly units matter for quantiles alone, so that those near them are enough."""
         alone = all(row.share or row.nominal or row.exact for row in self.rows)
-        return self.problem.costly and alone and not self.problem.losses
+        return alone and not (self.problem.effort.tails or self.problem.losses)
 
     def limits(self) -> list[Limited]:
         """Limits on shares, which decide what units are near."""
@@ -262,7 +259,7 @@ class Constraints(WholeSample):
         """
         rejects = float(self.rejects[k]) if rejects is None else float(rejects)
         count = len(margins)
-        near = PULLED if self.problem.costly else count // _QUARTER
+        near = count // _QUARTER if self.problem.effort.tails else PULLED
         weights = self.tails.weights[:count] if weights is None else weights
         return quantile(margins, weights, rejects, float(self.ways[k]), near)
 

@@ -135,19 +135,19 @@ class Costs:
         """Costs (j,), their first and second derivatives (j,) to the logarithms (j,) of the half-widths."""
         if not len(logs):
             return logs, logs, logs
-        found, slopes, bends = jax.device_get(_along(self._tree, logs, *self._leaves))
-        return np.asarray(found, float), np.asarray(slopes, float), np.asarray(bends, float)
+        found, slopes, bends = np.asarray(_along(self._tree, logs, *self._leaves), float)  # one copy for all three
+        return found, slopes, bends
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _along(tree: Any, logs: jax.Array, *leaves: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+def _along(tree: Any, logs: jax.Array, *leaves: jax.Array) -> jax.Array:
     each, ones = _each(jax.tree.unflatten(tree, leaves)), jnp.ones_like(logs)
 
     def slopes(x: jax.Array) -> tuple[jax.Array, jax.Array]:
         return jax.jvp(lambda x: each(jnp.exp(x)), (x,), (ones,))
 
     (found, first), (_, second) = jax.jvp(slopes, (logs,), (ones,))
-    return found, first, second
+    return jnp.stack([found, first, second])
 
 
 @jax.jit

@@ -12,6 +12,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 
+import jax.numpy as jnp
 import numpy as np
 
 from rvjax.tolerances.allocation.constraints import Constraints
@@ -92,6 +93,7 @@ _STEPS = 80
 _CENTRED, _SHORT = 0.15, 0.995  # part of the gap that a step leaves; of the way to the boundary
 _INSIDE = 1e-2  # of a range, by which a start lies inside it
 _TINY = 1e-11  # curvature of variables that have none
+_FLOOR = 1e-14  # of a span, distance of a variable from its bound, at least: times a price of 1e4 it is no gap
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,15 +132,16 @@ def minimum(
     below, above = (
         np.where(np.isfinite(end), 0.1 / np.maximum(np.abs(end - v), 1e-3 * span), 0.0) for end in (low, high)
     )
+    rounding = max(ROUNDING, 10 * float(np.finfo(jnp.result_type(float)).eps))  # costs may be in float32
     bounded = np.isfinite(low).sum() + np.isfinite(high).sum() + len(slack)
     for _ in range(_STEPS):
         here = model(v, prices)
-        under = np.where(np.isfinite(low), np.maximum(v - low, _TINY * span), 1.0)
-        over = np.where(np.isfinite(high), np.maximum(high - v, _TINY * span), 1.0)
+        under = np.where(np.isfinite(low), np.maximum(v - low, _FLOOR * span), 1.0)
+        over = np.where(np.isfinite(high), np.maximum(high - v, _FLOOR * span), 1.0)
         gap = float(slack @ prices + under @ below + over @ above) / max(bounded, 1)
         off = here.slopes - here.jacobian.T @ prices - below + above
         missed = here.rows - slack
-        if max(gap, float(np.abs(off).max()), float(np.abs(missed).max(initial=0.0))) < ROUNDING:
+        if max(gap, float(np.abs(off).max()), float(np.abs(missed).max(initial=0.0))) < rounding:
             break
         aim = _CENTRED * gap
         to_rows = (aim - slack * prices - prices * missed) / slack

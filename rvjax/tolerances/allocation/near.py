@@ -1,7 +1,7 @@
 """Costly units near their limits: at a neighbouring vector only these are solved, the others keep their values.
 
 A limit on a share needs the values of the units about a quantile. Units that were far inside the limit at one vector
-are rarely beyond it at the next. Some of them, those with the oldest values, are solved too and show whether this is so.
+are rarely beyond it at the next. Some of them, spread over all, are solved too and show whether this is so.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,7 +18,7 @@ from rvjax.tolerances.allocation.sample import Units, Values
 from rvjax.tolerances.allocation.tails import FEWEST
 
 _FIRST = 8.0  # times the rejects: units that are solved at first
-_OLDEST = 32  # units at least of all others, with the oldest values
+_SPREAD = 32  # units at least that are spread over all others
 _WINDOW = 4.0  # times the rejects: units that a quantile may be formed of
 _CLOSER = 0.5  # part of the way to the quantile that a solved unit like the others may have made
 _INSIDE = 1 - DECIDES  # part of the way inside a limit, of a quantile that does not decide; of units twice as much
@@ -37,12 +37,10 @@ class NearUnits:
 
     def __init__(self, units: Units, z: np.ndarray, known: Values) -> None:
         self.z, self._units, self._known = z, units, known
-        counts = [next(len(known[name]) for name in part.names if name in known) for part in units.parts]
-        self._ages = [np.zeros(count, int) for count in counts]  # vectors since each unit was solved
         self._latest: list[tuple[Population, list[float], Values]] = []
 
     def values(self, population: Population, limits: Sequence[Limited]) -> Values:
-        """Values (n,) by name at another vector; of units far inside every limit those of earlier ones.
+        """Values (n,) by name at another vector; of units far inside every limit those of the last known one.
 
         Args:
             population: at the vector.
@@ -53,18 +51,17 @@ class NearUnits:
             if there is population and all(one <= _FIRST / _WINDOW * other for one, other in zip(shares, theirs)):
                 return found
         found = {name: row.copy() for name, row in self._known.items()}
-        for part, age in zip(self._units.parts, self._ages):
-            self._solve(part, age, population, limits, found)
-        self._known = found = self._units.failing_in_all(found)
+        solved = [self._solve(part, population, limits, found) for part in self._units.parts]
+        found = self._units.failing_in_all(found)
+        if all(solved):
+            self._known = found
         self._latest = [*self._latest[1 - KEPT :], (population, shares, found)]
         return found
 
-    def _solve(
-        self, part: Part, age: np.ndarray, population: Population, limits: Sequence[Limited], found: Values
-    ) -> None:
-        """Solve the units of a part that are near, the nearest first."""
+    def _solve(self, part: Part, population: Population, limits: Sequence[Limited], found: Values) -> bool:
+        """Solve the units of a part that are near, the nearest first; True if these are all."""
         rows = {name: k for k, name in enumerate(part.names) if name in found}
-        count = len(age)
+        count = len(found[next(iter(rows))])
         own = [limit for limit in limits if set(limit.names) & set(part.names)]
         before = [limit.margins(found) for limit in own]
         place = np.full(count, np.inf)
@@ -74,10 +71,9 @@ class NearUnits:
             last = count if _margin(margins, limit.share * count) < -2 * _INSIDE else 0  # the limit does not decide
             place = np.minimum(place, rank / (limit.share * count) + np.where(margins > -2 * _INSIDE, 0, last))
         order, nearest = np.argsort(place, kind="stable"), int((place < _FIRST).sum())
-        size = AT_ONCE * -(-(nearest + _OLDEST) // AT_ONCE)  # a call that is not full takes as long
-        others = np.sort(order[nearest:])  # by number: as many near a limit as far inside it
-        oldest = others[np.argsort(-age[others], kind="stable")][: size - nearest] if 2 * size <= count else others
-        todo, solved = np.union1d(order[:nearest], oldest), np.zeros(count, bool)
+        size = AT_ONCE * -(-(nearest + _SPREAD) // AT_ONCE)  # a call that is not full takes as long
+        spread = order[np.linspace(nearest, count - 1, size - nearest, dtype=int)] if 2 * size <= count else order
+        todo, solved = np.union1d(order[:nearest], spread), np.zeros(count, bool)
         while len(todo):
             values = self._units.of_part(part, population, self.z[:, todo])
             solved[todo] = True
@@ -87,7 +83,7 @@ class NearUnits:
                 break
             left = order[~solved[order]]
             todo = left[: solved.sum()] if 4 * solved.sum() <= count else left
-        age[:] = np.where(solved, 0, age + 1)
+        return bool(solved.all())
 
 
 def _enough(limit: Limited, before: np.ndarray, found: Values, solved: np.ndarray) -> bool:

@@ -35,7 +35,56 @@ STAGES = 2048, 4096
 SPARE = 0.3
 """Standard errors of a share beyond what a certificate needs: the next sample shows a little less than the last."""
 
+FEW = 512
+"""Costly units of the first look, and of a part of the response that does not decide."""
+
 _FIELDS = 60  # decisions that `QUICK` units are enough for: more learn the sample by heart
+
+
+@dataclasses.dataclass(frozen=True)
+class Effort:
+    """What a search spends on units, and what it stops at.
+
+    Attributes:
+        first: units of the first look; None: those of the problem.
+        tails: True if all looks are at one sample in the tails, False if samples grow.
+        gain: promised gain, as a part of the cost, below which a search ends.
+        box: in logarithms of half-widths, below which a search ends.
+        worth: gain, as a part of the cost, for which another certificate is computed.
+        rivals: ends of starts that are searched on.
+        expected: rejects in a certificate, below which a probability of failure is more accurate.
+        sloped: units behind the slope of a statistic.
+        of_yields: units of a look for the cost curve, and of its certificates.
+        trials: searches for one end of a range, at most.
+        looks: of each of these, at most.
+        roughly: as `gain`, of these.
+    """
+
+    first: int | None
+    tails: bool
+    gain: float
+    box: float
+    worth: float
+    rivals: int
+    expected: int
+    sloped: int | None
+    of_yields: tuple[int | None, int]
+    trials: int
+    looks: int
+    roughly: float
+
+
+OF_QUICK = Effort(
+    first=None, tails=True, gain=1e-5, box=1e-3, worth=1e-3, rivals=3, expected=200, sloped=None,
+    of_yields=(None, KEPT), trials=4, looks=12, roughly=2e-4,
+)  # fmt: skip
+"""Of units that take microseconds."""
+
+OF_COSTLY = Effort(
+    first=FEW, tails=False, gain=2e-4, box=1e-2, worth=3e-3, rivals=2, expected=0, sloped=1024,
+    of_yields=STAGES, trials=2, looks=4, roughly=5e-3,
+)  # fmt: skip
+"""Of units that take a millisecond."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,16 +130,16 @@ class Problem:
         """Vector of decisions."""
         return Decisions(self.population, self.priced, self.middles, self.variables)
 
-    @property
-    def costly(self) -> bool:
-        """True if units are."""
-        return is_costly(self.response)
+    @functools.cached_property
+    def effort(self) -> Effort:
+        """What its units allow."""
+        return OF_COSTLY if is_costly(self.response) else OF_QUICK
 
     @property
     def sample(self) -> int:
         """Units to begin with."""
         many = 2 ** math.ceil(math.log2(max(self.decisions.size / _FIELDS, 1)))
-        return min(self.samples, QUICK) if self.costly else QUICK * many
+        return QUICK * many if self.effort.tails else min(self.samples, QUICK)
 
     @property
     def given(self) -> np.ndarray:

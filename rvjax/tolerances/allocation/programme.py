@@ -19,14 +19,11 @@ from rvjax.tolerances.allocation.decisions import AT, ROUNDING, STEP
 from rvjax.tolerances.allocation.look import Look
 from rvjax.tolerances.allocation.model import Model, Planes, minimum
 
-GAIN = 1e-5, 2e-4
-"""Promised gain, as a part of the cost, below which a search on quick and on costly units ends."""
-
 LOOKS = 12
 """Vectors of a search that need not be exact, at most."""
 
 COARSE = 5e-3
-"""The same on a sample that grows afterwards."""
+"""Promised gain, as a part of the cost, below which a search ends whose sample grows afterwards."""
 
 STATIONARY = 0.1
 """Residual of an optimum: it costs less than half of its square."""
@@ -37,7 +34,6 @@ MET = 0.01
 RADIUS, AGAIN = 1.0, 0.3
 """First box of a search, in logarithms of half-widths, and of one that begins at the end of another."""
 
-_LEAST = 1e-3, 1e-2  # boxes of quick and of costly units, below which a search ends
 _TAKEN, _GOOD = 0.05, 0.7  # parts of a promised gain: a step is taken, the box grows
 _SHORTER = 3.0  # times smaller is the box than a step that was not taken
 _FLAT = 0.05  # used way, below which its square has no slope of its own
@@ -100,13 +96,14 @@ class Programme:
             start: (n,) vector.
             radius: of the first box.
             most: looks, at most.
-            gain: promised gain that ends the search, as a part of the cost; None: `GAIN`.
+            gain: promised gain that ends the search, as a part of the cost; None: what the units allow.
         """
-        gain = GAIN[self.constraints.problem.costly] if gain is None else gain
+        effort = self.constraints.problem.effort
+        gain, least = effort.gain if gain is None else gain, effort.box
         here, looks = self._look(np.clip(start, self.low, self.high)), 1
         size = self._size(here)
         elastic = np.full(len(here.used), _PRICE * size) if self.weights is None else self.weights
-        settled, least = False, _LEAST[self.constraints.problem.costly]
+        settled = False
         while looks < most:
             size = self._size(here)
             plan = self._plan(here, radius, elastic)

@@ -9,17 +9,17 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy import special
 
 from rvjax.base import frames
 from rvjax.population import Estimate, Population
-from rvjax.tolerances.allocation.constraints import FEW, Constraints
+from rvjax.tolerances.allocation.constraints import Constraints
 from rvjax.tolerances.allocation.decisions import AT, Decisions
 from rvjax.tolerances.allocation.look import Look
-from rvjax.tolerances.allocation.programme import AGAIN, COARSE, GAIN, LOOKS, MET, End, Programme
+from rvjax.tolerances.allocation.programme import AGAIN, MET, End, Programme
 from rvjax.tolerances.batch.statistics import Statistics
 
 
@@ -246,23 +246,6 @@ _OFF = 0.05  # part of its range by which a number is first held off
 _CLOSE = 0.15  # of the added cost, by which the end of a range may miss it
 
 
-class _Effort(NamedTuple):
-    """Limits of the searches for the ends of a range.
-
-    Attributes:
-        trials: searches for one end, at most.
-        looks: vectors of one search, at most.
-        gain: promised gain, as a part of the cost, below which a search ends.
-    """
-
-    trials: int
-    looks: int
-    gain: float
-
-
-_QUICK, _COSTLY = _Effort(4, LOOKS, max(GAIN)), _Effort(2, 4, COARSE)  # of quick units, and of costly ones
-
-
 def ranges(constraints: Constraints, programme: Programme, end: End) -> dict[str, tuple[float, float]]:
     """{number: (least, largest) value with which the least cost stays within `WITHIN`}.
 
@@ -271,10 +254,9 @@ def ranges(constraints: Constraints, programme: Programme, end: End) -> dict[str
         programme: of the search.
         end: of the search.
     """
-    decisions, effort = constraints.decisions, _QUICK
-    if constraints.problem.costly:
-        constraints.sample(FEW)
-        effort = _COSTLY
+    decisions, effort = constraints.decisions, constraints.problem.effort
+    if effort.first:
+        constraints.sample(effort.first)
     low, high = programme.low, programme.high
 
     def solved(start: End, k: int | None = None, at: float = 0.0) -> End:
@@ -282,7 +264,7 @@ def ranges(constraints: Constraints, programme: Programme, end: End) -> dict[str
         if k is not None:
             programme.low, programme.high = low.copy(), high.copy()
             programme.low[k] = programme.high[k] = x[k] = at
-        found = programme.run(x, AGAIN, most=effort.looks, gain=effort.gain)
+        found = programme.run(x, AGAIN, most=effort.looks, gain=effort.roughly)
         programme.low, programme.high = low, high
         return found
 

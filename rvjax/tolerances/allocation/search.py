@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from rvjax.tolerances.allocation.certificate import TESTS, Certifier, rejects_at_limits
-from rvjax.tolerances.allocation.constraints import FEW, Constraints
+from rvjax.tolerances.allocation.constraints import Constraints
 from rvjax.tolerances.allocation.cost import expected_losses
 from rvjax.tolerances.allocation.decisions import ROUNDING, Lists, Places
 from rvjax.tolerances.allocation.look import DECIDES, FAILED, Look
-from rvjax.tolerances.allocation.problem import QUICK, STAGES, Problem
+from rvjax.tolerances.allocation.problem import FEW, QUICK, STAGES, Problem
 from rvjax.tolerances.allocation.programme import AGAIN, COARSE, LOOKS, MET, RADIUS, STATIONARY, End, Programme
 from rvjax.tolerances.allocation.rays import Rays
 from rvjax.tolerances.allocation.result import Allocation, bounds_active, intervals, margins_of, prices_of, value_prices
@@ -23,11 +23,9 @@ DEARER = 0.2
 
 _BEYOND = 40  # units of the last sample beyond each limit that decides
 _MOST = 16_384  # costly units of a sample, at most
-_WORTH = 1e-3, 3e-3  # gain of the cost, as a part of it, for which another one of quick, of costly units is computed
 _MORE, _TIMES = 0.02, 4  # part of the cost that more certificate units must save, and how many more at most
 _CHANGED = 0.03  # logarithm of wanted rejects, by which a search along rays is repeated
 _RAYS = 2  # times as many units of a sample that is looked at along rays, which are not in the tails
-_RIVALS = 3  # ends of starts that are searched on
 _INWARD = 4  # steps to the finest half-widths, where too many units fail; the first one is the shortest
 
 
@@ -50,7 +48,7 @@ class Search:
 
     def learned(self) -> End:
         """The end of the search on the last sample, before any certificate."""
-        problem, constraints, decisions = self.problem, self.constraints, self.decisions
+        constraints, decisions, effort = self.constraints, self.decisions, self.problem.effort
         start = decisions.start
         for k, row in enumerate(constraints.rows):
             if row.share:
@@ -58,10 +56,10 @@ class Search:
         constraints.begin(start)
         lists = Lists(decisions)
         low, high = self.programme.low, self.programme.high = lists.relaxed(decisions.low, decisions.high)
-        several = starts(decisions, start, low, high) if decisions.free or not problem.costly else [start]
+        several = starts(decisions, start, low, high) if decisions.free or effort.tails else [start]
         ends = [self.run(x, RADIUS, most=LOOKS if len(several) > 1 else None) for x in several]
         self.tried = tried(decisions, several, ends, constraints.count) if len(several) > 1 else []
-        near = rivals(ends, len(decisions.fields), _RIVALS if not problem.costly else 2)
+        near = rivals(ends, len(decisions.fields), effort.rivals)
         *growing, last = self._counts(near[0].look) or [constraints.count]
         for count in (*growing, last):
             if growing and count == last:  # fewer looks at the largest sample
@@ -72,7 +70,7 @@ class Search:
         end = near[0]
         if lists.entries:
             end = self._listed(lists, end.look.x)
-        return end if problem.costly or not self._misled(end) else self._along_rays(end, start)
+        return self._along_rays(end, start) if effort.tails and self._misled(end) else end
 
     def _inside(self, start: np.ndarray) -> np.ndarray:
         """The start, or finer half-widths where so many units fail that a quantile is left nowhere."""
@@ -86,7 +84,7 @@ class Search:
 
     def _counts(self, look: Look) -> list[int]:
         """Units of the samples to come."""
-        if not self.problem.costly:
+        if self.problem.effort.tails:
             return [self.problem.sample] * 2  # in the tails, placed twice
         near = [1 - getattr(r.item, "target", self.problem.joint_target or 0.0)
                 for k, r in enumerate(self.constraints.rows) if r.share and look.used[k] > DECIDES]  # fmt: skip
@@ -167,7 +165,7 @@ class Search:
         learned, misses = self._before(end), 0
         best: tuple[End, Statistics, np.ndarray, np.ndarray] | None = None
         missed: np.ndarray | None = None
-        constraints, certifier, enough = self.constraints, self.certifier, _WORTH[self.problem.costly]
+        constraints, certifier, enough = self.constraints, self.certifier, self.problem.effort.worth
         for test in range(TESTS):
             seen = certifier.test(constraints, end.look.x)
             held = certifier.holds(seen) and constraints.missed(end.look) <= ROUNDING
@@ -253,7 +251,7 @@ class Search:
         return dataclasses.replace(
             found, residual=end.residual, margins=reached, margin_slopes=slopes,
             multipliers=found.multipliers | {n: -price for n, price in prices.items()},
-            multiplier_intervals=intervals(self.programme, end, confidence) if self.problem.costly else {},
+            multiplier_intervals=intervals(self.programme, end, confidence) if not self.problem.effort.tails else {},
             value_prices=value_prices(self.decisions, end),
         )  # fmt: skip
 

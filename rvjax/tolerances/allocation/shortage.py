@@ -54,7 +54,7 @@ def refused(search: Search, end: End) -> Allocation:
             continue
         own = (look.used[k] - constraints.moved[k] - 1) * constraints.ways[k]
         if not row.exact and (
-            search.problem.costly or joint or not row.share or not math.isfinite(own)
+            not search.problem.effort.tails or joint or not row.share or not math.isfinite(own)
         ):  # more units, or all limits
             own = search.problem.requirements[row.name].shortfall(seen.values[row.name], joint)
         missing[row.name] = max(missing.get(row.name, 0.0), float(own), 0.0)

@@ -92,9 +92,6 @@ def _linearised(
     return outputs(free), jax.jacrev(outputs)(free) if free else {}
 
 
-_SLOPED = 1024  # costly units behind the slope of a statistic
-
-
 class WholeSample:
     """Used ways and losses of a problem that all units of a sample decide together."""
 
@@ -129,7 +126,7 @@ class WholeSample:
             return math.inf, nothing
         if not sloped:
             return 1 + margin / self.ways[k], nothing
-        few = own[:_SLOPED] if self.problem.costly else own
+        few = own[: self.problem.effort.sloped]
         pull = item.pull(few, margin, self.ways[k], len(few))
         if not len(pull.units):
             return 1 + margin / self.ways[k], nothing
@@ -176,7 +173,7 @@ class WholeSample:
             if not len(units):
                 return math.inf, towards
             total += float(np.mean(loss(values[name][units])))
-            units = units[:_SLOPED] if self.problem.costly else units
+            units = units[: self.problem.effort.sloped]
             if sloped:
                 pull = {name: np.asarray(loss.slope(values[name][units])) / len(units)}
                 towards += self.units.slope(x, self.plain[:, units], pull)
