@@ -3,7 +3,6 @@
 from rvjax.flank import (
     curvature as curvature,
     least_convex_radius as least_convex_radius,
-    relative_radius as relative_radius,
 )
 from rvjax.geometry.outputs import Figures, contact_ratio as contact_ratio, figures
 from rvjax.geometry.ring import material as material, squared_pressure as squared_pressure

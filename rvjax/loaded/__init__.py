@@ -15,7 +15,6 @@ from rvjax.loaded.case import (
 )
 from rvjax.loaded.cases import MACHINE as MACHINE, RATED as RATED, WHOLE as WHOLE
 from rvjax.loaded.equilibrium import (
-    Equilibria as Equilibria,
     Loaded,
     admit as admit,
     check_input as check_input,

@@ -33,6 +33,6 @@ Not modelled: elasticity, carrier bearings, centre-distance backlash of the invo
 
 from rvjax.lost_motion.loop import LoopFigures, hysteresis_loop, loop_figures
 from rvjax.lost_motion.outputs import LostMotion, geometric, shaft_tilt
-from rvjax.lost_motion.terms import LostMotionTerms, Teeth as Teeth
+from rvjax.lost_motion.terms import LostMotionTerms
 
 __all__ = ["LoopFigures", "LostMotion", "LostMotionTerms", "geometric", "hysteresis_loop", "loop_figures", "shaft_tilt"]

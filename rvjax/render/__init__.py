@@ -21,7 +21,6 @@ from rvjax.base.files import check_writable, naming
 from rvjax.base.words import wrapped
 from rvjax.records import PyTree
 from rvjax.render.content import (
-    FORM as FORM,
     Block as Block,
     Content as Content,
     Figure as Figure,

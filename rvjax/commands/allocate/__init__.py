@@ -27,7 +27,6 @@ from rvjax.commands.allocate import answer
 from rvjax.commands.allocate.answer import (
     FILE as FILE,
     Answer as Answer,
-    Side as Side,
     restored_from as restored_from,
     stored,
 )

@@ -29,7 +29,6 @@ from rvjax.commands.report.bearings import bearing_section, lives_if_any
 from rvjax.commands.report.friction import friction_section, losses_if_any
 from rvjax.commands.report.page import Shown as Shown, page_of as page_of
 from rvjax.commands.report.sliders import cost_data as cost_data, script_of as script_of
-from rvjax.records import PyTree
 from rvjax.render import Report, Section, results_folder
 from rvjax.study import Study
 
