@@ -22,7 +22,7 @@ from rvjax import flank
 from rvjax._jax import checks
 from rvjax._jax.programs import ONCE, quick
 from rvjax.cycloidal import CycloidalReducer
-from rvjax.designs import CamRollerReducer, RVReducer
+from rvjax.designs import CamRollerReducer, CycloidStage, RVReducer
 from rvjax.errors import RVErrors
 from rvjax.records import PyTree, Record, Scalar, concrete
 from rvjax.units import parse, rpm, suited, with_unit
@@ -41,7 +41,7 @@ def part_class(cls: type, name: str) -> type[Record]:
     return next(item for item in (*typing.get_args(hint), hint) if item is not type(None))
 
 
-def _number(value: object, unit: str) -> PyTree:
+def _number(value: object, unit: str) -> object:
     return [_number(item, unit) for item in value] if isinstance(value, list) else parse(value, unit)
 
 
@@ -205,11 +205,11 @@ def steep(design: object) -> list[str]:
 
 
 @quick(options=ONCE)  # one program instead of one for each operation
-def _room(cycloid: PyTree) -> jax.Array:
+def _room(cycloid: CycloidStage) -> jax.Array:
     return flank.Ground.of(cycloid).least_convex(cycloid.pin_count)
 
 
-def sharp_from(cycloid: PyTree) -> float:
+def sharp_from(cycloid: CycloidStage) -> float:
     """Pin radius from which on the flank of a disc with these modifications is undercut, m; <= 0: with all pins.
 
     Args:

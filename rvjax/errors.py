@@ -114,7 +114,7 @@ def described(errors: object, key: str) -> dict[str, PyTree]:
 
 
 @lru_cache(maxsize=256)
-def _described(cls: type[Record], key: str) -> dict[str, PyTree]:
+def _described(cls: type[Record], key: str) -> dict[str, object]:
     return {f.name: f.metadata[key] for f in dataclasses.fields(cls) if f.metadata.get(key)}
 
 

@@ -277,7 +277,7 @@ def broadcast_fields(cls: type[Record], counts: Mapping[str, int], values: Mappi
     return filled
 
 
-def _checked(owner: str, f: Field, value: PyTree) -> PyTree:
+def _checked(owner: str, f: Field, value: PyTree) -> object:
     kind = f.metadata["kind"]
     if kind == "count":
         try:

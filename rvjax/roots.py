@@ -28,6 +28,8 @@ from rvjax._jax.solved_state import SOLVED
 from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record
 from rvjax.status import SolveInfo, Status, succeeded
 
+Tree = TypeVar("Tree")
+
 __all__ = ["Root", "bracketed"]
 
 Residual = Callable[[Array, PyTree], jax.Array]
@@ -133,22 +135,22 @@ def _masked(value: jax.Array, info: SolveInfo) -> Root:
 
 @partial(jax.custom_jvp, nondiff_argnums=(0, 1))
 def _implicit(
-    residual: Residual, iterate: Callable[..., PyTree], params: object, guess: object
-) -> tuple[PyTree, SolveInfo]:
+    residual: Residual, iterate: Callable[..., tuple[jax.Array, SolveInfo]], params: object, guess: object
+) -> tuple[jax.Array, SolveInfo]:
     return iterate(residual, params, guess)
 
 
 @_implicit.defjvp
 def _implicit_jvp(
     residual: Residual, iterate: Callable[..., object], primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]
-) -> PyTree:
+) -> tuple[tuple[jax.Array, SolveInfo], tuple[jax.Array, SolveInfo]]:
     (params, guess), (dparams, _) = primals, tangents
     value, info = _implicit(residual, iterate, params, guess)
     good = succeeded(info.status)
 
     # A failed batch element may hold NaN. Selecting before and after the linear map keeps both its tangent and,
     # transposed, its cotangent exactly zero, here and in second derivatives.
-    def keep(tree: object) -> PyTree:
+    def keep(tree: Tree) -> Tree:
         return jax.tree.map(lambda leaf: jnp.where(good, leaf, jax.lax.stop_gradient(leaf)), tree)
 
     value, params = keep(value), keep(params)

@@ -109,7 +109,9 @@ def sin_cos(x: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 @sin_cos.defjvp
-def _sin_cos_jvp(primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]) -> PyTree:
+def _sin_cos_jvp(
+    primals: tuple[jax.Array], tangents: tuple[jax.Array]
+) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
     sine, cosine = sin_cos(*primals)
     (dx,) = tangents
     return (sine, cosine), (cosine * dx, -sine * dx)

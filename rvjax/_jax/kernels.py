@@ -53,7 +53,7 @@ class BatchedKernel:
         self.rule: Callable[..., PyTree] | None = None
         """(size, whether each argument is batched, first axis; *arguments) -> results, batch first."""
 
-    def __call__(self, *arguments: PyTree) -> PyTree:
+    def __call__(self, *arguments: object) -> PyTree:
         """The results."""
         leaves, tree = jax.tree.flatten(like(arguments))
         found = _batched_kernel.bind(*leaves, kernel=self, tree=tree)
@@ -83,7 +83,7 @@ def _lowered(platform: str) -> Callable[..., Any]:
 
     lower = mlir.lower_fun(computed, multiple_results=True)
 
-    def rule(ctx: Any, *leaves: Any, **parameters: Any) -> Any:
+    def rule(ctx: Any, *leaves: Any, **parameters: Any) -> object:
         with unchecked():
             return lower(ctx.replace(avals_in=[*map(unvarying, ctx.avals_in)]), *leaves, **parameters)
 
@@ -145,7 +145,7 @@ def settle(x: jax.Array) -> jax.Array:
 
 
 def once_more(
-    function: Callable[[PyTree], jax.Array], arguments: PyTree, found: jax.Array, todo: jax.Array
+    function: Callable[[PyTree], jax.Array], arguments: object, found: jax.Array, todo: jax.Array
 ) -> jax.Array:
     """Return `found`, or `function(arguments)` in the batch elements `todo`, at the cost of their neighbourhood only.
 
@@ -281,7 +281,7 @@ def while_loop(running: Callable[[State], object], body: Callable[[State], State
     return jax.lax.while_loop(running, body, _settled(body, start))
 
 
-def fori_loop(lower: Any, upper: Any, body: Callable[[Any, State], State], start: State) -> State:
+def fori_loop(lower: object, upper: object, body: Callable[[Any, State], State], start: State) -> State:
     """`jax.lax.fori_loop`."""
     return jax.lax.fori_loop(lower, upper, body, _settled(lambda state: body(lower, state), start))
 

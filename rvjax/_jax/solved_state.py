@@ -29,12 +29,12 @@ class Marked(NamedTuple):
     tree: Any  # of its results
 
     @classmethod
-    def of(cls, function: Callable[..., PyTree], *arguments: PyTree) -> "Marked":
+    def of(cls, function: Callable[..., PyTree], *arguments: object) -> "Marked":
         """Trace a function for arguments of these shapes."""
         jaxpr, shapes = jax.make_jaxpr(function, return_shape=True)(*arguments)
         return cls(jaxpr, jax.tree.structure(shapes))
 
-    def with_state(self, *arguments: PyTree) -> tuple[PyTree, list[jax.Array]]:
+    def with_state(self, *arguments: object) -> tuple[PyTree, list[jax.Array]]:
         """Results, and what is marked, in the order of the program."""
         state: list[jax.Array] = []
 
@@ -45,7 +45,7 @@ class Marked(NamedTuple):
         found = _evaluated(self.jaxpr, jax.tree.leaves(arguments), kept)
         return jax.tree.unflatten(self.tree, found), state
 
-    def from_state(self, state: jax.Array, *arguments: PyTree) -> PyTree:
+    def from_state(self, state: jax.Array, *arguments: object) -> PyTree:
         """Results with what is marked taken from a vector, and so without what leads there.
 
         Args:
@@ -77,13 +77,13 @@ def moving(function: Callable[[PyTree], PyTree], numbers: Mapping[str, float]) -
 
 
 def _evaluated(
-    closed: ClosedJaxpr, arguments: list[Any], mark: Callable[[Any, Any], jax.Array], *, given: bool = False
+    closed: ClosedJaxpr, arguments: list[object], mark: Callable[[Any, Any], jax.Array], *, given: bool = False
 ) -> list[Any]:
     """Results of a jaxpr; `mark` (type, value) has a value for each mark, whose own is None where it is given."""
     jaxpr, known = closed.jaxpr, dict[Any, Any]()
     known |= dict(zip([*jaxpr.constvars, *jaxpr.invars], [*closed.consts, *arguments]))
 
-    def read(variable: object) -> Any:
+    def read(variable: object) -> object:
         return variable.val if isinstance(variable, Literal) else known.get(variable)
 
     wanted = _wanted(jaxpr) if given else None

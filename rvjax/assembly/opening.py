@@ -140,10 +140,10 @@ def _drawn(tolerance: Tolerance, z: jax.Array) -> jax.Array:
     return tolerance.deviate(z)
 
 
-def _widen(tolerances: object, factor: float) -> PyTree:
+def _widen(tolerances: object, factor: float) -> object:
     """Multiply the half-width of all tolerances of a structure by a factor."""
 
-    def wider(leaf: object) -> PyTree:
+    def wider(leaf: object) -> object:
         return leaf.with_half_width(factor * float(leaf.half_width)) if isinstance(leaf, Tolerance) else leaf
 
     return jax.tree.map(wider, tolerances, is_leaf=lambda leaf: leaf is None or isinstance(leaf, Tolerance))

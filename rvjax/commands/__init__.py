@@ -51,7 +51,7 @@ def option(
     unit: str = "",
     sign: str = "any",
     ends: str | tuple[str, ...] | None = None,
-    **parsing: Any,
+    **parsing: object,
 ) -> Any:
     """An option: a field of inputs.
 
@@ -82,7 +82,7 @@ def argument(text: str, metavar: str, **more: Any) -> Any:
     return option(text, metavar, flag=".", **several, **more)
 
 
-def study_argument(which: str = "", **more: Any) -> Any:
+def study_argument(which: str = "", **more: object) -> Any:
     """The argument that names a study; a command reads it in `__post_init__`.
 
     Args:

@@ -11,7 +11,6 @@ from typing import Any
 
 from rvjax.measured import Finding
 from rvjax.outputs import Output
-from rvjax.records import PyTree
 from rvjax.render import (
     CSV,
     PAGE,
@@ -152,7 +151,7 @@ def failures_text(found: Statistics) -> str:
     return f"{text}; infinite: {endless} (mean, sd and Cpk exclude them)" if endless else text
 
 
-def searched_texts(study: Study, tolerances: PyTree) -> list[str]:
+def searched_texts(study: Study, tolerances: object) -> list[str]:
     """A line for each limited worst case that is the result of a search, because slopes change sign.
 
     Args:

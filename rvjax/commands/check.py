@@ -14,7 +14,7 @@ from rvjax.base.progress import spelled
 from rvjax.commands import Inputs, option, say, study_argument
 from rvjax.commands.cells import assumed_text, condition_text, limit_text, limits_data, limits_of
 from rvjax.levels import Choice
-from rvjax.render import Cell, Figure, Limits, Note, Number, Report, Table, Text
+from rvjax.render import Figure, Limits, Note, Number, Report, Table, Text
 from rvjax.response import BLOCK
 from rvjax.study import KINDS, Study, facts_of, kind_of, numbers, shown
 from rvjax.tolerances import COSTLY_UNITS, KEPT, QUICK, units_of
@@ -265,7 +265,7 @@ def _content(study: Study, found: Checked, source: str) -> list[Note | Table]:
     return [part for part in said if not isinstance(part, Note) or part.text]
 
 
-def _cost(study: Study, field: str) -> list[Cell]:
+def _cost(study: Study, field: str) -> list[object]:
     """Cost of the initial half-width, next to the range of its process."""
     cost, unit = study.costs[field], study.unit(field)
     half = getattr(study.tolerances, field).half_width

@@ -185,7 +185,7 @@ class _Joined(Record):
 
 
 @per_response(options=QUICK)
-def _of_unit(unit: _Joined, errors: PyTree) -> running.Joint:
+def _of_unit(unit: _Joined, errors: object) -> running.Joint:
     return unit(errors)
 
 
@@ -246,7 +246,7 @@ def _statistic(unit: _Joined, inputs: ExportInputs) -> tuple[running.Joint, str]
     if np.ceil(share * (count - 1)) >= good.sum():
         raise StudyError(f"unit {inputs.unit}: {count - good.sum()} of {count} units cannot be solved")
 
-    def quantile(name: str, values: PyTree) -> np.float64:
+    def quantile(name: str, values: np.ndarray) -> np.float64:
         values = np.broadcast_to(np.asarray(values, float), count)
         sign = -1 if name in LOW else 1
         return np.float64(sign * np.quantile(np.where(good, sign * values, np.inf), share))

@@ -216,7 +216,7 @@ def _drawn(path: Path) -> Known:
         return Known(str(path), kind, numbers, said, torque, True, tuple(sorted(set(tables) - FILE_PARTS)))
 
 
-def _lacking(kind: Kind, numbers: Mapping[str, PyTree]) -> list[str]:
+def _lacking(kind: Kind, numbers: Mapping[str, object]) -> list[str]:
     """Numbers that a drawing must have and that these lack, with their meaning, a line each."""
     about = {path: metadata for path, metadata, _ in fields_of_kind(kind.design)}
     units = {path: "" if about[path]["unit"] == "-" else f", in {about[path]['unit']}" for path in kind.needed}

@@ -172,7 +172,7 @@ def matrix_root(matrix: jax.Array, square: jax.Array) -> jax.Array:
 
 
 @matrix_root.defjvp
-def _matrix_root_jvp(primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]) -> PyTree:
+def _matrix_root_jvp(primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
     matrix, square = primals
     root = matrix_root(matrix, square)
     pair = jnp.sqrt(square)[:, None] + jnp.sqrt(square)[None, :]
@@ -250,6 +250,9 @@ def _modes(lumped: Lumped, load_inertia: Array) -> Modes:
     return Modes(frequency, shape, kind_index=jnp.asarray(codes, jnp.int32)[order], info=info)
 
 
+Pair = tuple[jax.Array, jax.Array]
+
+
 @jax.custom_jvp
 def _eigh(matrix: jax.Array) -> tuple[jax.Array, jax.Array]:
     values, vectors = jnp.linalg.eigh(matrix)[:2]
@@ -257,7 +260,7 @@ def _eigh(matrix: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 @_eigh.defjvp
-def _eigh_jvp(primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]) -> PyTree:
+def _eigh_jvp(primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]) -> tuple[Pair, Pair]:
     # A change of the design keeps the symmetry, hence every repeated pair: inside a pair nothing turns.
     values, vectors = _eigh(primals[0])
     change = jnp.swapaxes(vectors, -1, -2) @ tangents[0] @ vectors

@@ -34,10 +34,12 @@ from rvjax.four_bar.disc_fit import (
     vector,
 )
 from rvjax.four_bar.unit import Unit, Vector
-from rvjax.records import Array, PyTree, Record, field, record
+from rvjax.records import Array, Record, field, record
 from rvjax.status import SolveInfo, Status, at_once
 
 Parts = TypeVar("Parts")
+Arrays = tuple[list[jax.Array]]
+Pair = tuple[jax.Array, jax.Array]
 
 _BESIDE = 2  # angles on either side of the crest of a first harmonic that are looked at
 
@@ -107,7 +109,7 @@ def largest_and_smallest(
         return score.back(most), score.back(least)
 
     @search.defjvp
-    def _rule(primals: PyTree, tangents: PyTree) -> PyTree:
+    def _rule(primals: Arrays, tangents: Arrays) -> tuple[Pair, Pair]:
         (arrays,), (changes,) = primals, tangents
         places = []
         for index in found(arrays, True):

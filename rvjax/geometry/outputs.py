@@ -87,7 +87,7 @@ def largest_share(pins: int) -> float:
     return float(shares.max())
 
 
-def _harmless_drive(read: object) -> PyTree:
+def _harmless_drive(read: object) -> object:
     """A drive that exists, in the place of one that does not."""
     cycloid, output, contact, torque = jax.tree.map(jnp.ones_like, read)
     contact = contact and of_steel(contact)
@@ -134,7 +134,7 @@ _KINDS: dict[type, Callable[[Any, Scalar], Figures]] = {RVReducer: _of_rv, Cyclo
 """Figures by the class of the design."""
 
 
-def _masses(design: RVReducer) -> list[Any] | None:
+def _masses(design: RVReducer) -> list[object] | None:
     """Masses of all rotating parts."""
     inertia, cranks = design.inertia, (design.cranks.count,)
     if inertia is None:
@@ -170,7 +170,7 @@ def _rv_figures(read: PyTree) -> Figures:
     return Figures(**values, **own, pin_pressure=pressure, info=info)
 
 
-def _harmless_rv(read: object) -> PyTree:
+def _harmless_rv(read: object) -> object:
     """A reducer that exists, in the place of one that does not."""
     gears, cycloid, _, contact, *_ = ones = jax.tree.map(jnp.ones_like, read)
     gears = gears.replace(sun_base_radius=0.3, planet_base_radius=0.6, pressure_angle=0.35)

@@ -11,7 +11,7 @@ import numpy as np
 
 from rvjax.designs import Contact, CycloidStage
 from rvjax.flank import Ground, modified, relative_radius
-from rvjax.records import Array, PyTree, Record, Scalar, field, record
+from rvjax.records import Array, Record, Scalar, field, record
 from rvjax.status import Gate, SolveInfo, Status
 
 PLACES = 2048  # of a pin along a flank, of which the one with the largest value is refined
@@ -83,7 +83,7 @@ def _largest_jvp(
     grid: np.ndarray,
     primals: tuple[jax.Array, ...],
     tangents: tuple[jax.Array, ...],
-) -> PyTree:
+) -> tuple[Array, Array]:
     place = _place(function, grid, *primals)
     return jax.jvp(lambda given: function(place[None], given)[0], primals, tangents)
 
@@ -106,7 +106,7 @@ def _place_jvp(
     grid: np.ndarray,
     primals: tuple[jax.Array, ...],
     tangents: tuple[jax.Array, ...],
-) -> PyTree:
+) -> tuple[Array, Array]:
     """Second derivatives of the value need dplace = -df' / f'', from f' = 0."""
     place = _place(function, grid, *primals)
 

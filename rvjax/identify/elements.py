@@ -176,7 +176,7 @@ class Elements:
         leaves = self._beside(argument, other)
         return {name: leaves[name] for name in self.population.active}
 
-    def _beside(self, argument: str, other: object) -> dict[str, PyTree]:
+    def _beside(self, argument: str, other: object) -> dict[str, object]:
         _, treedef = self.population._flat
         try:
             leaves = treedef.flatten_up_to(other)

@@ -181,13 +181,13 @@ def slopes(function: Residual, u: jax.Array, size: int) -> tuple[jax.Array, jax.
         return ways[1](function, u)
 
 
-def _forward(function: Residual, u: jax.Array) -> tuple[jax.Array, jax.Array, PyTree]:
+def _forward(function: Residual, u: jax.Array) -> tuple[jax.Array, jax.Array, object]:
     push: Callable[[jax.Array], Any] = lambda tangent: jax.jvp(function, (u,), (tangent,), has_aux=True)  # noqa: E731
     value, jacobian, aux = jax.vmap(push, out_axes=(None, -1, None))(jnp.eye(u.shape[0], dtype=u.dtype))
     return value, jacobian, aux
 
 
-def _reverse(function: Residual, u: jax.Array) -> tuple[jax.Array, jax.Array, PyTree]:
+def _reverse(function: Residual, u: jax.Array) -> tuple[jax.Array, jax.Array, object]:
     value, pull, aux = jax.vjp(function, u, has_aux=True)
     return value, jax.vmap(lambda cotangent: pull(cotangent)[0])(jnp.eye(value.shape[0], dtype=value.dtype)), aux
 

@@ -184,7 +184,7 @@ class Layout:
         named = (jax.tree_util.keystr(path, simple=True, separator=".") for path in self.paths)
         return [name or "data" for name in named]
 
-    def _match(self, argument: str, tree: object) -> Iterator[tuple[str, tuple[int, ...], bool, PyTree]]:
+    def _match(self, argument: str, tree: object) -> Iterator[tuple[str, tuple[int, ...], bool, object]]:
         """Yield name, shape and kind of each leaf of the observation with the same leaf of `tree`."""
         try:
             leaves = self.treedef.flatten_up_to(tree)

@@ -138,7 +138,7 @@ def run(
     """v (chains, draws, n) and which of them diverged (chains, draws)."""
     import blackjax
 
-    def apart(z: jax.Array) -> tuple[jax.Array, PyTree]:
+    def apart(z: jax.Array) -> tuple[jax.Array, object]:
         return residuals(model, given, y, mixed(given.mixing, z))
 
     density = _density(apart, given.dof, centre.shape[0])
@@ -152,7 +152,7 @@ def run(
         (state, parameters), _ = adaptation.run(adapting, start, num_steps=warmup)
         step = blackjax.nuts(logarithm, **parameters).step
 
-        def advance(state: PyTree, key: jax.Array) -> tuple[PyTree, tuple[jax.Array, jax.Array]]:
+        def advance(state: PyTree, key: jax.Array) -> tuple[object, tuple[jax.Array, jax.Array]]:
             state, info = step(key, state)
             return state, (state.position, info.is_divergent)
 

@@ -154,7 +154,7 @@ def as_given(design: Design, outputs: Sequence[str], conditions: object, *, tole
     return choices
 
 
-def _no_fewer(value: PyTree, wanted_of: PyTree) -> PyTree:
+def _no_fewer(value: PyTree, wanted_of: PyTree) -> object:
     """A count of the exact level, or that of the conditions where it is larger: more angles are never less exact."""
     counts = isinstance(value, int) and isinstance(wanted_of, int) and not isinstance(value, bool)
     return max(value, wanted_of) if counts else value

@@ -211,7 +211,7 @@ def stored() -> Table:
     return Table.load(resources.files("rvjax.levels") / "table.json")
 
 
-def _tuples(value: object) -> PyTree:
+def _tuples(value: object) -> object:
     """A table of a condition as conditions hold it."""
     return tuple(map(_tuples, value)) if isinstance(value, list) else value
 

@@ -154,7 +154,7 @@ class TurnPlan:
         """True if the equilibrium at the sample before is a better start than the linear step."""
         return self.samples >= _NEAR
 
-    def input_angles(self, design: PyTree, dtype: DTypeLike) -> jax.Array:
+    def input_angles(self, design: RVReducer | CycloidalReducer, dtype: DTypeLike) -> jax.Array:
         """Input angles over the turn of the output, (n,) rad: every crank angle once, each in a separate crank turn.
 
         Equally spaced angles alias with the errors, whose loads have the orders of pins and teeth. Eq. 11.

@@ -16,6 +16,8 @@ from rvjax import status
 from rvjax._jax.elementary import power
 from rvjax.base.fields import fit
 from rvjax.bearings import Bearings, RollerBearing
+from rvjax.cycloidal import CycloidalReducer
+from rvjax.designs import RVReducer
 from rvjax.errors import Errors
 from rvjax.life.bearing import Looseness, check_method, damaged
 from rvjax.life.damage import WEIBULL, Damage, basic, check_ratings, harmless, magnitude, ratings, unfit
@@ -88,7 +90,7 @@ class Plan(TurnPlan):
 
 
 def check_plan(
-    design: PyTree,
+    design: RVReducer | CycloidalReducer,
     errors: Errors,
     samples: int,
     turns: float,

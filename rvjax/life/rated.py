@@ -186,7 +186,13 @@ class Given(NamedTuple):
 
 @quick(0)
 def _rated_torque(
-    plan: Plan, design: PyTree, errors: PyTree, life: Scalar, speed: Scalar, reliability: Scalar, tilt: Scalar
+    plan: Plan,
+    design: RVReducer | CycloidalReducer,
+    errors: RVErrors | CycloidalErrors,
+    life: Scalar,
+    speed: Scalar,
+    reliability: Scalar,
+    tilt: Scalar,
 ) -> RatedTorque:
     read = admit(plan.layout, design, errors, 0.0, 0.0)
     call = entered(design, read, speed, life, reliability, tilt, lambda speed, life: ~(life > 0) | (speed == 0))

@@ -18,7 +18,7 @@ from rvjax.life.damage import WEIBULL
 from rvjax.life.duty import KINDS, Duty, check_phases, kind_of, revolutions
 from rvjax.life.machine import Entered, Plan, check_plan, damages, entered
 from rvjax.loaded import BearingForces, Read, admit, bearing_forces, check_input
-from rvjax.records import Design, PyTree, Record, Scalar, field, record
+from rvjax.records import Design, Record, Scalar, field, record
 from rvjax.status import SolveInfo, Status, succeeded, worst, worst_of
 
 
@@ -87,7 +87,13 @@ def rating(
 
 @quick(0, 1)
 def _rating(
-    plan: Plan, phases: int, design: PyTree, errors: PyTree, duty: Duty, reliability: Scalar, tilt: Scalar
+    plan: Plan,
+    phases: int,
+    design: RVReducer | CycloidalReducer,
+    errors: RVErrors | CycloidalErrors,
+    duty: Duty,
+    reliability: Scalar,
+    tilt: Scalar,
 ) -> Rating:
     read = admit(plan.layout, design, errors, jnp.broadcast_to(duty.output_torque, (phases,)), 0.0)
     given = under(duty, phases, design, read, reliability, tilt)

@@ -28,6 +28,7 @@ from rvjax.loaded.observation import (
     HEAD_PARTS as HEAD_PARTS,
     DriveConditions as DriveConditions,
     LoadedConditions as LoadedConditions,
+    Methods as Methods,
     turn as turn,
     turns_of as turns_of,
     ways as ways,

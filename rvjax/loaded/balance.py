@@ -34,7 +34,7 @@ def in_lanes(kernel: Kernel, layout: Layout, shapes: Callable[[Layout, object], 
         shapes: (layout, dtype) -> shapes and dtypes of the results of one case.
     """
 
-    def results(*arguments: object) -> PyTree:
+    def results(*arguments: object) -> object:
         leaves = jax.tree.leaves(arguments)
         batch = tuple(max(leaf.shape[axis] for leaf in leaves) for axis in (0, 1))
         one = shapes(layout, leaves[-1].dtype)
@@ -42,7 +42,7 @@ def in_lanes(kernel: Kernel, layout: Layout, shapes: Callable[[Layout, object], 
 
     grouped = BatchedKernel(functools.partial(_over_groups, kernel, layout), results)
 
-    def rule(size: int, batched: list[PyTree], *arguments: object) -> PyTree:
+    def rule(size: int, batched: list[PyTree], *arguments: object) -> object:
         leaves, tree = jax.tree.flatten(arguments)
         flags = jax.tree.leaves(batched)
         groups = max(leaf.shape[flag] for leaf, flag in zip(leaves, flags))
@@ -70,14 +70,14 @@ def in_lanes(kernel: Kernel, layout: Layout, shapes: Callable[[Layout, object], 
 
     grouped.rule = rule
 
-    def of_one(*arguments: object) -> PyTree:
+    def of_one(*arguments: object) -> object:
         result = grouped(*jax.tree.map(lambda leaf: leaf[None, None], arguments))
         return jax.tree.map(lambda leaf: leaf[0, 0], result)
 
     return of_one
 
 
-def _over_groups(kernel: Kernel, layout: Layout, system: System, *arrays: jax.Array) -> PyTree:
+def _over_groups(kernel: Kernel, layout: Layout, system: System, *arrays: jax.Array) -> object:
     """Arguments (groups or 1, elements or 1, ...) -> results (groups, elements, ...)."""
     leaves, tree = jax.tree.flatten((system, *arrays))
     groups, lanes = (max(leaf.shape[axis] for leaf in leaves) for axis in (0, 1))
@@ -88,7 +88,7 @@ def _over_groups(kernel: Kernel, layout: Layout, system: System, *arrays: jax.Ar
         return jax.tree.map(lambda leaf: leaf.reshape(groups, lanes, *leaf.shape[1:]), found)
     batched_leaves = [len(leaf) > 1 for leaf in leaves]
 
-    def group(given: list[jax.Array]) -> PyTree:
+    def group(given: list[jax.Array]) -> object:
         rest = iter(given)
         return kernel(
             layout, *jax.tree.unflatten(tree, [next(rest) if o else x[0] for x, o in zip(leaves, batched_leaves)])
@@ -121,7 +121,7 @@ def in_blocks(kernel: Kernel, arguments: tuple[object, ...]) -> PyTree:
     if cases == width:
         return block(jnp.zeros((), jnp.int32))
 
-    def write(number: jax.Array, results: object) -> PyTree:
+    def write(number: jax.Array, results: object) -> object:
         first = jnp.minimum(number * width, cases - width)  # the last block is whole
         return jax.tree.map(
             lambda all_, new: jax.lax.dynamic_update_slice_in_dim(all_, new, first, 0), results, block(first)
@@ -130,6 +130,9 @@ def in_blocks(kernel: Kernel, arguments: tuple[object, ...]) -> PyTree:
     shapes = jax.eval_shape(block, jax.ShapeDtypeStruct((), jnp.int32))
     nothing = jax.tree.map(lambda x: jnp.zeros((cases, *x.shape[1:]), x.dtype), shapes)
     return jax.lax.fori_loop(jnp.int32(0), jnp.int32(-(-cases // width)), write, nothing)
+
+
+Inputs = tuple[System, jax.Array]
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -145,7 +148,7 @@ def balance(layout: Layout, system: System, start: jax.Array) -> Minimum:
 
 
 @balance.defjvp
-def _balance_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[Minimum, PyTree]:
+def _balance_jvp(layout: Layout, primals: Inputs, tangents: object) -> tuple[Minimum, Minimum]:
     minimum = balance(layout, *primals)
     return minimum, jax.custom_derivatives.zero_from_primal(minimum)
 
@@ -163,7 +166,7 @@ class Forces(NamedTuple):
         return cls(at.pins.force, at.joints.force, at.bearings.force)
 
     @classmethod
-    def shapes(cls, layout: Layout, dtype: DTypeLike) -> PyTree:
+    def shapes(cls, layout: Layout, dtype: DTypeLike) -> "Forces":
         """Shapes of one case."""
         joints, bearings = layout.contacts(layout.joints), layout.contacts(layout.bearings)
         sizes = (layout.discs, layout.pins), (joints,), (bearings, 2)
@@ -183,7 +186,7 @@ def forces(layout: Layout, system: System, q: jax.Array) -> Forces:
 
 
 @forces.defjvp
-def _forces_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[Forces, Forces]:
+def _forces_jvp(layout: Layout, primals: Inputs, tangents: Inputs) -> tuple[Forces, Forces]:
     def of_one(system: System, q: jax.Array) -> Forces:
         at = contacts(layout, jax.tree.map(lambda leaf: leaf[..., None], system), q[:, None])
         return jax.tree.map(lambda x: x[..., 0], Forces.of(at))
@@ -248,7 +251,7 @@ def with_implicit_derivative(layout: Layout, system: System, q: jax.Array) -> ja
 
 
 @with_implicit_derivative.defjvp
-def _with_implicit_derivative_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[jax.Array, jax.Array]:
+def _with_implicit_derivative_jvp(layout: Layout, primals: Inputs, tangents: Inputs) -> tuple[jax.Array, jax.Array]:
     system, q = primals
     q = with_implicit_derivative(layout, system, q)
     _, change = jax.jvp(lambda s: residual(layout, s, q), (system,), (tangents[0],))

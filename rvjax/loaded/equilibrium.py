@@ -86,7 +86,7 @@ def check_kind(design: Design, errors: Errors) -> None:
     check_shapes([errors], design.counts)
 
 
-def check_input(design: PyTree, errors: PyTree, contact: str, carrier: str, sun: str) -> Layout:
+def check_input(design: RVReducer | CycloidalReducer, errors: PyTree, contact: str, carrier: str, sun: str) -> Layout:
     """The layout of this call.
 
     Args:
@@ -337,11 +337,11 @@ def _measure(
     angle: jax.Array,
     minimum: Minimum,
     status: jax.Array,
-) -> PyTree:
+) -> object:
     """Results at one angle under every torque, with their derivatives."""
     case = prepare(layout, read, angle)
 
-    def of_one(torque: jax.Array, minimum: Minimum, status: jax.Array) -> PyTree:
+    def of_one(torque: jax.Array, minimum: Minimum, status: jax.Array) -> object:
         loaded = case.loaded(torque)
         return take(loaded, at_output(layout, loaded, minimum, status), status == Status.CONVERGED)
 

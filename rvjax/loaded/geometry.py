@@ -15,10 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.elementary import sin_cos
+from rvjax.cycloidal import CycloidalErrors
 from rvjax.designs import CycloidStage, RVReducer
 from rvjax.errors import RVErrors
 from rvjax.flank import Ground, curvature, modified, profile
-from rvjax.records import PyTree, Scalar, promote
+from rvjax.records import Scalar, promote
 from rvjax.status import SolveInfo, Status, admit, converged
 
 
@@ -109,7 +110,7 @@ def full(value: Scalar, shape: tuple[int, ...]) -> jax.Array:
     return jnp.broadcast_to(value, shape)
 
 
-def pin_depths(cycloid: CycloidStage, errors: PyTree, at: Geometry) -> jax.Array:
+def pin_depths(cycloid: CycloidStage, errors: RVErrors | CycloidalErrors, at: Geometry) -> jax.Array:
     """Depth of every pin in its disc at the ideal position, (d, p) m: Eq. 13, term by term.
 
     Args:

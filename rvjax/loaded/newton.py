@@ -11,7 +11,7 @@ points: of a thousand equilibria at 3 % of the rated torque one takes 120 points
 """
 
 import functools
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -39,7 +39,8 @@ from rvjax.loaded.system import (
     pressed_pins,
     typical_joint_slopes,
 )
-from rvjax.records import PyTree
+
+Tree = TypeVar("Tree")
 
 MAX_STEPS = 300
 DIRECT = 80  # of them before the interior point method
@@ -59,7 +60,7 @@ class Minimum(NamedTuple):
     finite: jax.Array  # (l,)
 
     @classmethod
-    def shapes(cls, layout: Layout, dtype: DTypeLike) -> PyTree:
+    def shapes(cls, layout: Layout, dtype: DTypeLike) -> "Minimum":
         """Shapes and dtypes of one case."""
         vector = jax.ShapeDtypeStruct((layout.unknowns,), dtype)
         kinds = jnp.int32, dtype, dtype, bool, bool, bool
@@ -304,6 +305,6 @@ def _most(*values: jax.Array) -> jax.Array:
     return functools.reduce(jnp.maximum, largest)
 
 
-def take(tree: object, index: jax.Array) -> PyTree:
+def take(tree: Tree, index: jax.Array) -> Tree:
     """The cases `index` of leaves (cases or 1, ...), batch axis last; a shared leaf keeps length 1."""
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf if len(leaf) == 1 else leaf[index], 0, -1), tree)

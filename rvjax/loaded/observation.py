@@ -10,7 +10,7 @@ import functools
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +27,8 @@ from rvjax.loaded.revolution import Revolution, revolution
 from rvjax.loaded.system import Layout
 from rvjax.outputs import Observation, Spectrum, condition
 from rvjax.records import Array, Design, PyTree, Scalar
+
+R = TypeVar("R")
 
 SPANS = ("crank_turn", "output_turn")
 
@@ -59,7 +61,19 @@ class LoadedConditions(DriveConditions):
     sun: str = condition("fixed", "centre of the sun", choices=SUPPORTS)
 
 
-def ways(given: Any) -> dict[str, str]:
+class Methods(Protocol):
+    """Conditions that name the methods of an equilibrium."""
+
+    @property
+    def pin_contact(self) -> str:
+        """Contact law of the pins."""
+
+    @property
+    def carrier(self) -> str:
+        """Centre of the carrier."""
+
+
+def ways(given: Methods) -> dict[str, str]:
     """Methods of the equilibrium, as its keyword arguments."""
     return dict(contact=given.pin_contact, carrier=given.carrier, sun=getattr(given, "sun", "fixed"))
 
@@ -155,7 +169,7 @@ PARTS = 5
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _errors(layout: Layout, design: PyTree, errors: PyTree, torques: Array, angles: Array) -> jax.Array:
+def _errors(layout: Layout, design: RVReducer, errors: Errors, torques: Array, angles: Array) -> jax.Array:
     """Transmission error (t, n) at torques (t,) and input angles (n,)."""
     return _each(functools.partial(_error, layout, design, errors), torques, angles)
 
@@ -164,14 +178,16 @@ def _error(layout: Layout, design: Design, errors: Errors, torque: Scalar, angle
     return error_alone(layout, design, errors, angle, torque)
 
 
-def _each(function: PyTree, torques: Array, angles: Array) -> PyTree:
+def _each(function: Callable[[Scalar, Scalar], R], torques: Array, angles: Array) -> R:
     """The function at every torque and angle, under one `jax.vmap`: each one traces the equilibrium again."""
     shape = len(torques), len(angles)
     pairs = (jnp.broadcast_to(x, shape).ravel() for x in (torques[:, None], angles))
     return jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), jax.vmap(function)(*pairs))
 
 
-def _errors_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[jax.Array, jax.Array]:
+def _errors_jvp(
+    layout: Layout, primals: tuple[RVReducer, Errors, Array, Array], tangents: tuple[object, object, Array, Array]
+) -> tuple[jax.Array, jax.Array]:
     """One adjoint of each equilibrium, then sums: with ten observed numbers a tenth of their adjoints."""
     design, errors, torques, angles = primals
     leaves, tree = jax.tree.flatten((design, errors))
@@ -202,7 +218,7 @@ def _errors_jvp(layout: Layout, primals: PyTree, tangents: PyTree) -> tuple[jax.
 _errors.defjvp(_errors_jvp, symbolic_zeros=True)
 
 
-def _count(design: PyTree, given: LoadedConditions, orders: tuple[int, ...], alike: bool) -> int:
+def _count(design: RVReducer, given: LoadedConditions, orders: tuple[int, ...], alike: bool) -> int:
     """Angles of a period: so many that no order of perfect parts that they do not resolve looks like an observed one.
 
     The mean is observed, too.
@@ -218,7 +234,7 @@ def _count(design: PyTree, given: LoadedConditions, orders: tuple[int, ...], ali
     return next(count for count in itertools.count(least) if not taken(count))
 
 
-def _parts(design: PyTree, given: LoadedConditions, orders: tuple[int, ...], alike: bool) -> int:
+def _parts(design: RVReducer, given: LoadedConditions, orders: tuple[int, ...], alike: bool) -> int:
     """Parts of a turn of the output: so many that what one takes for another order is far from those of the pins."""
     if alike:
         return 1
@@ -234,8 +250,8 @@ def _parts(design: PyTree, given: LoadedConditions, orders: tuple[int, ...], ali
 
 
 def _spectrum(
-    design: PyTree,
-    errors: PyTree,
+    design: RVReducer,
+    errors: Errors,
     given: LoadedConditions,
     torques: Array,
     orders: tuple[int, ...],

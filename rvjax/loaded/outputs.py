@@ -38,7 +38,7 @@ from rvjax.loaded.observation import (
 )
 from rvjax.loaded.revolution import Clearance, Revolution, clearance
 from rvjax.outputs import KNOWN_ERROR, Curve, Description, Output, Reading, Solved, Usual
-from rvjax.records import Design, PyTree
+from rvjax.records import Design
 from rvjax.status import SolveInfo, worst, worst_of
 from rvjax.units import MPa
 
@@ -111,7 +111,7 @@ def _pressure(design: RVReducer, errors: RVErrors, conditions: LoadedConditions)
     return jnp.max(solution.pressure), solution.info.status
 
 
-def _fit(design: PyTree, errors: PyTree, conditions: LoadedConditions) -> Clearance:
+def _fit(design: RVReducer, errors: RVErrors, conditions: LoadedConditions) -> Clearance:
     """Least clearance of flanks, and of the holes of a drive, over the span without load."""
     return clearance(design, errors, turns=turns_of(design, conditions), samples=conditions.samples)
 

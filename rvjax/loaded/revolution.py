@@ -22,7 +22,7 @@ from rvjax.loaded.case import Case, Read, at_output, check_teeth, output_rotatio
 from rvjax.loaded.equilibrium import KINDS, admit, check_input, check_kind, equilibria, kind_of, named_forces, prepare
 from rvjax.loaded.newton import Minimum
 from rvjax.loaded.system import Layout
-from rvjax.records import Array, Design, PyTree, Record, Scalar, field, record
+from rvjax.records import Array, Design, Record, Scalar, field, record
 from rvjax.roots import solved
 from rvjax.status import SolveInfo, Status, succeeded, worst_of
 
@@ -189,7 +189,12 @@ def revolution(
 
 @quick(0, 1)
 def _revolution(
-    samples: int, layout: Layout, design: PyTree, errors: PyTree, output_torque: Scalar, turns: Scalar
+    samples: int,
+    layout: Layout,
+    design: RVReducer | CycloidalReducer,
+    errors: RVErrors | CycloidalErrors,
+    output_torque: Scalar,
+    turns: Scalar,
 ) -> Revolution:
     read = admit(layout, design, errors, output_torque, turns)
     order = jnp.arange(samples, dtype=read.torque.dtype)

@@ -24,7 +24,7 @@ from rvjax.lost_motion.terms import (
     minimum,
 )
 from rvjax.outputs import KNOWN_ERROR, Cases, Description, Output, Solved, Way, condition
-from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record
+from rvjax.records import Array, Record, Scalar, field, promote, record
 from rvjax.status import SolveInfo, Status, admit, converged, window
 from rvjax.units import um
 
@@ -212,7 +212,7 @@ def _stored(x: jax.Array) -> jax.Array:
 
 
 @_stored.defjvp
-def _stored_jvp(primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]) -> PyTree:
+def _stored_jvp(primals: tuple[jax.Array], tangents: tuple[jax.Array]) -> tuple[jax.Array, jax.Array]:
     (x,), (dx,) = primals, tangents
     return jnp.square(jnp.sqrt(x)), jnp.zeros_like(dx)
 

@@ -138,6 +138,7 @@ def contributions(unit: Unit, parts: RVErrors, teeth: Teeth, reading: str) -> tu
     return terms, cosine
 
 
+_Place = tuple[Array, Array, Array, Array]
 _WIDEST, _POINTS = 20.0, 256  # search over the whole flank, where the first-order minima are out of reach
 STEPS = 11  # near d = s D, where b is flat, they leave 1e-10 of b; elsewhere five reach rounding
 
@@ -236,13 +237,13 @@ def _lowest(flank: Flank, position: jax.Array) -> jax.Array:
 
 
 @_lowest.defjvp
-def _lowest_jvp(primals: tuple[jax.Array, ...], tangents: tuple[jax.Array, ...]) -> PyTree:
+def _lowest_jvp(primals: tuple[Flank, jax.Array], tangents: tuple[Flank, jax.Array]) -> tuple[jax.Array, jax.Array]:
     (flank, position), (dflank, _) = primals, tangents
     return jax.jvp(lambda f: free_rotation(position, f), (flank,), (dflank,))
 
 
 @jax.custom_jvp
-def _place(flank: Flank) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+def _place(flank: Flank) -> _Place:
     """Position of the minimum, the slope left there, whether the search came to an end and reached anything."""
     best, converged = _descend(flank, _starts(flank))
 
@@ -258,7 +259,7 @@ def _place(flank: Flank) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
 
 
 @_place.defjvp
-def _place_jvp(primals: PyTree, tangents: PyTree) -> PyTree:
+def _place_jvp(primals: tuple[Flank], tangents: tuple[Flank]) -> tuple[_Place, _Place]:
     """Second derivatives of the backlash need dposition = -db' / b'', from b' = 0."""
     (flank,), (dflank,) = primals, tangents
     position, slope, converged, reaches = _place(flank)

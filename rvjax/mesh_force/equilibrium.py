@@ -28,8 +28,11 @@ from rvjax.mesh_force import geometry, laws, line_contact
 from rvjax.mesh_force.block import Solution, solve_block
 from rvjax.mesh_force.geometry import Case, all_rollers, lever, take_apart
 from rvjax.mesh_force.laws import Compliance
-from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record, signs_hold
+from rvjax.records import Array, Record, Scalar, field, promote, record, signs_hold
 from rvjax.status import SolveInfo, Status, admit, converged, window
+
+Pair = tuple[jax.Array, jax.Array]
+Primals = tuple[jax.Array, jax.Array, Compliance, jax.Array, jax.Array, jax.Array]
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -60,7 +63,7 @@ def with_implicit_derivative(
 
 
 @with_implicit_derivative.defjvp
-def _with_implicit_derivative_jvp(law: str, primals: PyTree, tangents: PyTree) -> PyTree:
+def _with_implicit_derivative_jvp(law: str, primals: Primals, tangents: Primals) -> tuple[Pair, Pair]:
     arm, gap, compliance, _, _, _ = primals
     darm, dgap, dcompliance, dtorque, _, _ = tangents
     windup, load = with_implicit_derivative(law, *primals)
@@ -103,7 +106,7 @@ def _batched(law: str, teeth: int) -> Callable[[Case], Solution]:
     return along_lanes(BatchedKernel(functools.partial(_in_blocks, law, teeth), functools.partial(_shapes, teeth)))
 
 
-def _shapes(teeth: int, case: Case) -> PyTree:
+def _shapes(teeth: int, case: Case) -> object:
     size, dtype = max(leaf.shape[0] for leaf in case), case.torque.dtype
     number: Any = jax.ShapeDtypeStruct((size,), dtype)
     return Solution(

@@ -1,7 +1,6 @@
 """Curves by name over one variable, and the plots of results that are curves."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -24,7 +23,7 @@ def lines(
     band: Mapping[str, tuple[ArrayLike, ArrayLike]] | None = None,
     title: str = "",
     looks: Looks | None = None,
-    legend: Mapping[str, Any] | None = None,
+    legend: Mapping[str, object] | None = None,
     axes: Axes | None = None,
 ) -> Axes:
     """Curves by name over one variable; the curve of an angle about its mean, a force or a cost.

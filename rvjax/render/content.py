@@ -50,7 +50,9 @@ class Table:
     under: Sequence[str] = ()
 
     @classmethod
-    def of(cls, record: type, name: str, rows: Iterable[Any], *, without: Sequence[str] = (), **more: Any) -> "Table":
+    def of(
+        cls, record: type, name: str, rows: Iterable[object], *, without: Sequence[str] = (), **more: Any
+    ) -> "Table":
         """A table of row records.
 
         Args:

@@ -162,7 +162,7 @@ class Column:
         """Characters to which cells may be broken where a table is too wide; 0: they may not."""
         return 20 if self.wraps else 0
 
-    def text(self, cell: Cell) -> str:
+    def text(self, cell: object) -> str:
         """Text of the cell; words are not changed, also in a column of numbers."""
         if isinstance(cell, str):
             return cell
@@ -172,7 +172,7 @@ class Column:
         """Headers in a CSV file."""
         return [self.title if self.file_title is None else self.file_title]
 
-    def values(self, cell: Cell) -> list[Value]:
+    def values(self, cell: object) -> list[Value]:
         """The cell in a CSV file, a value for each header."""
         return [None] * len(self.headers()) if cell is None or cell == "" else self._given(cell)
 
@@ -248,10 +248,10 @@ class Interval(Number):
         (title,) = super().headers()
         return [title, *(end.format(title) for end in self.ends)]
 
-    def _said(self, cell: Cell) -> str:
+    def _said(self, cell: object) -> str:
         return self._quantity(cell).text(self.form, named=self.named)
 
-    def _given(self, cell: Cell) -> list[Value]:
+    def _given(self, cell: object) -> list[Value]:
         return list(self._quantity(cell).numbers())
 
 
@@ -272,7 +272,7 @@ class Limits(Column):
         return [*cell.numbers()[1:], number(cell.drawn, cell.shown[1])]
 
 
-def column(shown: Column, default: Cell = "") -> Any:
+def column(shown: Column, default: object = "") -> Any:
     """A field of a row record: a dataclass whose fields are the columns of a table.
 
     Args:

@@ -45,7 +45,7 @@ class DesignResponse(Protocol):
     def __call__(self, errors: PyTree, values: dict[str, Any], /) -> PyTree: ...
 
 
-def _type_of(leaf: Any) -> object:
+def _type_of(leaf: object) -> object:
     """Type of a leaf of the arguments, by which a program is found."""
     if type(leaf) in (float, int, bool):
         return type(leaf)
@@ -81,7 +81,7 @@ class Compiled(Generic[R]):
             return self._shared(options), (response,)
         return self._own(response, options), ()
 
-    def __call__(self, response: Function, *arguments: PyTree, **static: object) -> R:
+    def __call__(self, response: Function, *arguments: object, **static: object) -> R:
         """The function's value; a static argument that is None counts as absent."""
         leaves, static = jax.tree.leaves((response, arguments)), _given(static)
         if inside(leaves):
@@ -95,7 +95,7 @@ class Compiled(Generic[R]):
         jitted, first = self._program(response, options)
         return jitted(*first, *arguments, **static)
 
-    def shapes(self, response: Function, *arguments: PyTree, **static: object) -> R:
+    def shapes(self, response: Function, *arguments: object, **static: object) -> R:
         """Shapes of the function's value; traced once for arguments of the same types."""
         program, first = self._program(response)
         jitted: Any = program
@@ -120,7 +120,7 @@ class Compiled(Generic[R]):
             self._kept[key] = exported(folder, self.__wrapped__, static, arguments, understood(options))  # type: ignore[attr-defined]
         return self._kept[key]
 
-    def traced(self, response: Function, *arguments: PyTree) -> jax.stages.Traced:
+    def traced(self, response: Function, *arguments: object) -> jax.stages.Traced:
         """The program, traced."""
         jitted, first = self._program(response)
         return jitted.trace(*first, *arguments)
@@ -136,7 +136,7 @@ EVERYWHERE = jax.sharding.PartitionSpec()
 
 
 def per_response(
-    *, static: tuple[str, ...] = (), options: Options = (), shared: PyTree = None
+    *, static: tuple[str, ...] = (), options: Options = (), shared: object = None
 ) -> Callable[[Callable[..., R]], Compiled[R]]:
     """Compile a function whose first argument is a response.
 
@@ -151,7 +151,7 @@ def per_response(
     return lambda function: Compiled(_shared_out(function, shared), (*static, "mesh"), options)
 
 
-def _shared_out(function: Callable[..., R], out: PyTree) -> Callable[..., R]:
+def _shared_out(function: Callable[..., R], out: object) -> Callable[..., R]:
     @functools.wraps(function)
     def call(
         response: Response,
@@ -237,7 +237,7 @@ def unwrapped(result: object) -> PyTree:
     return {key: unwrapped(item) for key, item in result.items()} if by_number else result
 
 
-def by_name(kind: type, found: Mapping[str, Mapping[str, PyTree]]) -> PyTree:
+def by_name(kind: type, found: Mapping[str, Mapping[str, object]]) -> PyTree:
     """A result of this kind, every field a dict by name, from what was found of each response; unwrapped."""
     columns = {f.name: {n: each[f.name] for n, each in found.items()} for f in dataclasses.fields(kind)}
     return unwrapped(kind(**columns))

@@ -202,7 +202,13 @@ class Given(NamedTuple):
 
 
 @quick(0, 1)
-def _back_driving(plan: TurnPlan, sign: float, design: PyTree, errors: PyTree, friction: Friction) -> BackDriving:
+def _back_driving(
+    plan: TurnPlan,
+    sign: float,
+    design: RVReducer | CycloidalReducer,
+    errors: RVErrors | CycloidalErrors,
+    friction: Friction,
+) -> BackDriving:
     call = entered(plan, design, errors, friction, 0.0)
     read = call.read
     sound = call.gate.good.astype(read.torque.dtype)

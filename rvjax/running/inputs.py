@@ -132,7 +132,7 @@ SHARES = {
 
 def check_call(
     where: str,
-    design: PyTree,
+    design: RVReducer | CycloidalReducer,
     errors: Errors,
     friction: Friction | None,
     supports: tuple[str, str, str],
@@ -210,7 +210,7 @@ class Call(NamedTuple):
 
 def entered(
     plan: TurnPlan,
-    design: PyTree,
+    design: RVReducer | CycloidalReducer,
     errors: Errors,
     friction: Friction,
     torque: Scalar,
@@ -252,7 +252,7 @@ def _read_of(bearings: Bearings | None, friction: Friction) -> Bearings | None:
     if bearings is None or (friction.arm_bearings is None and friction.support_bearings is None):
         return None
 
-    def sizes(bearing: PyTree, coefficient: Scalar | None) -> PyTree:
+    def sizes(bearing: PyTree, coefficient: Scalar | None) -> object:
         unread = ("roller_diameter", "roller_length", "rating_factor", "capacity", "static_capacity")
         return None if bearing is None or coefficient is None else unchecked(bearing, **dict.fromkeys(unread))
 

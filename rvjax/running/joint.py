@@ -16,7 +16,7 @@ from rvjax.designs import Friction, RVReducer
 from rvjax.errors import Errors, RVErrors
 from rvjax.life import TurnPlan
 from rvjax.loaded import Case, compliance, equilibria, forces, named_forces, output_rotation
-from rvjax.records import Array, PyTree, Record, Scalar, concrete, field, quantity, record
+from rvjax.records import Array, Record, Scalar, concrete, field, quantity, record
 from rvjax.running.inputs import Call, check_call, entered, kind_of
 from rvjax.running.losses import around, bearing_moments, ended, ring_slip, worked
 from rvjax.status import SolveInfo, Status
@@ -67,7 +67,13 @@ def hysteresis(
 
 
 @quick(0, options=ONCE)
-def _hysteresis(plan: TurnPlan, design: PyTree, errors: PyTree, friction: Friction, input_angle: Scalar) -> Hysteresis:
+def _hysteresis(
+    plan: TurnPlan,
+    design: RVReducer | CycloidalReducer,
+    errors: RVErrors | CycloidalErrors,
+    friction: Friction,
+    input_angle: Scalar,
+) -> Hysteresis:
     call = entered(plan, design, errors, friction, 0.0, angle=input_angle)
     read, layout = call.read, plan.layout
     signs = jnp.asarray([-1.0, 1.0], read.torque.dtype)
@@ -199,7 +205,7 @@ def joint(
 @quick(0)
 def _joint(
     plan: TurnPlan,
-    design: PyTree,
+    design: RVReducer | CycloidalReducer,
     errors: Errors,
     friction: Friction,
     rated_torque: Scalar,

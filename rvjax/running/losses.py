@@ -270,7 +270,12 @@ def losses(
 
 @quick(0)
 def _losses(
-    plan: TurnPlan, design: PyTree, errors: PyTree, friction: Friction, output_torque: Scalar, output_speed: Scalar
+    plan: TurnPlan,
+    design: RVReducer | CycloidalReducer,
+    errors: RVErrors | CycloidalErrors,
+    friction: Friction,
+    output_torque: Scalar,
+    output_speed: Scalar,
 ) -> Losses:
     call = entered(plan, design, errors, friction, output_torque, speed=output_speed)
     torque, speed = call.read.torque, call.speed

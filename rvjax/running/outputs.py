@@ -7,7 +7,7 @@ the input drives, or that with which the output drives. The motion has the sign 
 import dataclasses
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -15,11 +15,11 @@ import numpy as np
 
 from rvjax._jax.programs import QUICK, quick
 from rvjax.catalogue import part_class
-from rvjax.cycloidal import CycloidalReducer
+from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import Friction, RVReducer
-from rvjax.errors import Errors
+from rvjax.errors import Errors, RVErrors
 from rvjax.life import TurnPlan
-from rvjax.loaded import DriveConditions as OfDrive, LoadedConditions, ways
+from rvjax.loaded import DriveConditions as OfDrive, LoadedConditions, Methods, ways
 from rvjax.outputs import Description, Joint, Output, Reading, Solved, Source, condition
 from rvjax.records import PyTree, Scalar
 from rvjax.running.bench import BackDriving, back_driving
@@ -29,6 +29,30 @@ from rvjax.running.losses import around, backward_efficiency, efficiency, ended,
 from rvjax.status import Status, worst
 
 Reducer = RVReducer | CycloidalReducer
+
+
+class FrictionConditions(Methods, Protocol):
+    """Conditions that friction reads."""
+
+    @property
+    def output_torque(self) -> float:
+        """Of the discs on the output, N m."""
+
+    @property
+    def output_speed(self) -> float | None:
+        """Of the output, rad/s; None: at rest."""
+
+    @property
+    def running_samples(self) -> int:
+        """Angles of a turn of the output."""
+
+    @property
+    def input_angle(self) -> float:
+        """At which the bench twists the output, rad."""
+
+    @property
+    def probe_angles(self) -> int:
+        """Angles of the bench, which divide a crank turn."""
 
 
 class Turned(NamedTuple):
@@ -42,7 +66,7 @@ class Turned(NamedTuple):
     status: jax.Array
 
 
-def supports_of(conditions: object) -> tuple[str, str, str]:
+def supports_of(conditions: FrictionConditions) -> tuple[str, str, str]:
     """Contact, carrier and sun.
 
     Args:
@@ -52,7 +76,9 @@ def supports_of(conditions: object) -> tuple[str, str, str]:
     return methods["contact"], methods["carrier"], methods["sun"]
 
 
-def turned(design: Reducer, errors: PyTree, conditions: Any, torques: tuple[Scalar, ...]) -> tuple[Turned, ...]:
+def turned(
+    design: Reducer, errors: PyTree, conditions: FrictionConditions, torques: tuple[Scalar, ...]
+) -> tuple[Turned, ...]:
     """Losses of a turn under each of some torques.
 
     Args:
@@ -83,7 +109,7 @@ def _turned(
     return tuple(turns)
 
 
-def sign_of(conditions: Any) -> float:
+def sign_of(conditions: FrictionConditions) -> float:
     """Direction of the motion.
 
     Args:
@@ -92,7 +118,7 @@ def sign_of(conditions: Any) -> float:
     return -1.0 if (conditions.output_speed or 0.0) < 0 else 1.0
 
 
-def torques_of(conditions: Any) -> tuple[float, float, float]:
+def torques_of(conditions: FrictionConditions) -> tuple[float, float, float]:
     """Torques of the three sets: none, input drives, output drives.
 
     Args:
@@ -102,22 +128,24 @@ def torques_of(conditions: Any) -> tuple[float, float, float]:
     return 0.0, size, -size
 
 
-def idle(design: Reducer, errors: Errors, conditions: object) -> Turned:
+def idle(design: Reducer, errors: Errors, conditions: FrictionConditions) -> Turned:
     """Without load."""
     return turned(design, errors, conditions, torques_of(conditions)[:1])[0]
 
 
-def forward(design: Reducer, errors: Errors, conditions: object) -> Turned:
+def forward(design: Reducer, errors: Errors, conditions: FrictionConditions) -> Turned:
     """Under the torque with which the input drives."""
     return turned(design, errors, conditions, torques_of(conditions)[1:2])[0]
 
 
-def backward(design: Reducer, errors: Errors, conditions: object) -> Turned:
+def backward(design: Reducer, errors: Errors, conditions: FrictionConditions) -> Turned:
     """Under the torque with which the output drives."""
     return turned(design, errors, conditions, torques_of(conditions)[2:])[0]
 
 
-def together(sources: tuple[Source, ...], design: Reducer, errors: Errors, conditions: object) -> tuple[Turned, ...]:
+def together(
+    sources: tuple[Source, ...], design: Reducer, errors: Errors, conditions: FrictionConditions
+) -> tuple[Turned, ...]:
     """Several sets in one loop.
 
     Args:
@@ -130,14 +158,14 @@ def together(sources: tuple[Source, ...], design: Reducer, errors: Errors, condi
     return turned(design, errors, conditions, tuple(torque_of[source] for source in sources))
 
 
-def driven_back(design: Reducer, errors: PyTree, conditions: Any) -> BackDriving:
+def driven_back(design: Reducer, errors: RVErrors | CycloidalErrors, conditions: FrictionConditions) -> BackDriving:
     """Torque on the output that turns it in the direction of the motion."""
     how: dict[str, Any] = dict(samples=conditions.running_samples) | ways(conditions)
     how["direction"] = "forward" if sign_of(conditions) > 0 else "backward"
     return back_driving(errors.stiffened(design), errors, **how)
 
 
-def loop(design: Reducer, errors: PyTree, conditions: Any) -> Solved:
+def loop(design: Reducer, errors: RVErrors | CycloidalErrors, conditions: FrictionConditions) -> Solved:
     """Largest of the probe angles, which divide a crank turn."""
     design, step = (
         errors.stiffened(design),
@@ -174,43 +202,45 @@ DriveConditions = dataclasses.make_dataclass("DriveConditions", _conditions(OfDr
 """Of a single-stage drive."""
 
 
-def _work(conditions: Any) -> tuple[str, int]:
+def _work(conditions: FrictionConditions) -> tuple[str, int]:
     return "life", conditions.running_samples
 
 
-def _efficiency(of_turn: Turned, design: Reducer, conditions: Any) -> Solved:
+def _efficiency(of_turn: Turned, design: Reducer, conditions: FrictionConditions) -> Solved:
     return efficiency(of_turn.loss, jnp.asarray(conditions.output_torque, of_turn.loss.dtype)), of_turn.status
 
 
-def _backward(of_turn: Turned, design: Reducer, conditions: Any) -> Solved:
+def _backward(of_turn: Turned, design: Reducer, conditions: FrictionConditions) -> Solved:
     return backward_efficiency(of_turn.loss, jnp.asarray(conditions.output_torque, of_turn.loss.dtype)), of_turn.status
 
 
-def _starting(of_turn: Turned, design: Reducer, conditions: object) -> Solved:
+def _starting(of_turn: Turned, design: Reducer, conditions: FrictionConditions) -> Solved:
     return of_turn.rest / abs(design.ratio), of_turn.status
 
 
-def _no_load(of_turn: Turned, design: Reducer, conditions: object) -> Solved:
+def _no_load(of_turn: Turned, design: Reducer, conditions: FrictionConditions) -> Solved:
     return of_turn.loss / abs(design.ratio), of_turn.status
 
 
-def _back_driving(start: BackDriving, design: Reducer, conditions: object) -> Solved:
+def _back_driving(start: BackDriving, design: Reducer, conditions: FrictionConditions) -> Solved:
     return start.torque, start.info.status
 
 
-def _power(of_turn: Turned, design: Reducer, conditions: Any) -> Solved:
-    return abs(conditions.output_speed) * of_turn.loss, of_turn.status
+def _power(of_turn: Turned, design: Reducer, conditions: FrictionConditions) -> Solved:
+    return abs(conditions.output_speed or 0.0) * of_turn.loss, of_turn.status
 
 
-def _set_of(conditions: Any) -> tuple[Source, ...]:
+def _set_of(conditions: FrictionConditions) -> tuple[Source, ...]:
     """The set of the torque of the conditions."""
     return (forward,) if conditions.output_torque * sign_of(conditions) >= 0 else (backward,)
 
 
-def _refusing(name: str, check: Callable[[object], None] | None = None) -> Callable[[PyTree, Any], None]:
+def _refusing(
+    name: str, check: Callable[[FrictionConditions], None] | None = None
+) -> Callable[[Reducer, FrictionConditions], None]:
     """Check the parts of a design and its friction, then run the check `check` of the conditions."""
 
-    def refuse(design: Reducer, conditions: Any) -> None:
+    def refuse(design: Reducer, conditions: FrictionConditions) -> None:
         if design.friction is None:
             raise ValueError(f"design.friction is missing: {name} needs it")
         for part in ("stiffness", "contact"):
@@ -225,12 +255,12 @@ def _refusing(name: str, check: Callable[[object], None] | None = None) -> Calla
     return refuse
 
 
-def _loaded(conditions: Any) -> None:
+def _loaded(conditions: FrictionConditions) -> None:
     if conditions.output_torque == 0:
         raise ValueError("conditions.output_torque = 0 N m: must not be 0; an efficiency needs a torque")
 
 
-def _moving(conditions: Any) -> None:
+def _moving(conditions: FrictionConditions) -> None:
     if conditions.output_speed == 0:
         raise ValueError("conditions.output_speed = 0 rad/s: must not be 0")
 

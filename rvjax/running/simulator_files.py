@@ -56,7 +56,7 @@ def units(joint: PyTree) -> dict[str, str]:
     return {f.name: f.metadata["unit"] for f in dataclasses.fields(joint) if f.name != "info"}
 
 
-def numbers(joint: PyTree) -> dict[str, float | None]:
+def numbers(joint: object) -> dict[str, float | None]:
     """Numbers of a joint model by field, None where it has none.
 
     Raises:

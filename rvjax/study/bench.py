@@ -26,7 +26,7 @@ PROBE = 1e-3
 """Share of the largest torque that replaces zero: the side of the backlash needs a sign."""
 
 
-def _taken(design: PyTree, values: Values) -> tuple[PyTree, PyTree]:
+def _taken(design: PyTree, values: Values) -> tuple[object, object]:
     """Design and errors of one unit."""
     fields = {f.name for f in dataclasses.fields(design.error_record)}
     errors = design.error_record.for_design(design, **{n: v for n, v in values.items() if n in fields})
@@ -276,7 +276,7 @@ class Frequencies(Record):
 
 
 def frequency_model(
-    observation: Observation, design: Design, conditions: PyTree, measured: np.ndarray, start: Values
+    observation: Observation, design: Design, conditions: object, measured: np.ndarray, start: Values
 ) -> Frequencies:
     """Natural frequencies of the modes that were measured.
 

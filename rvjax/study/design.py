@@ -186,7 +186,7 @@ def is_assumed(text: str) -> bool:
     return bool(catalogue.ASSUMED.search(text))
 
 
-def _same(value: PyTree, other: PyTree) -> bool:
+def _same(value: PyTree, other: Design) -> bool:
     return other is not None and bool((value == other) if not hasattr(value, "shape") else (value == other).all())
 
 

@@ -174,7 +174,7 @@ class DesignResponse(Record):
     given: tuple[str, ...] = text("paths of the numbers that do not follow")
     similar: bool = text("whether scaling laws hold", default=True)
 
-    def __call__(self, errors: PyTree, values: Mapping[str, Scalar] | None = None) -> Outcome:
+    def __call__(self, errors: object, values: Mapping[str, Scalar] | None = None) -> Outcome:
         """Values and the worst status of one unit."""
         design = changed(self.response.design, values or {}, self.given, similar=self.similar)
         return self.response.replace(design=design)(errors)

@@ -18,7 +18,6 @@ import numpy as np
 
 from rvjax._jax.sizes import PULLED, calls
 from rvjax.population import Estimate, Population, deviate_of, one_decides, root_key, skewed, unknown_share
-from rvjax.records import PyTree
 from rvjax.response import BLOCK, Part, Response, Whole, elements, is_costly, numbers_of, parts
 from rvjax.status import succeeded
 from rvjax.tolerances.moments import Spread
@@ -63,7 +62,7 @@ class Influence:
 
 def influences(
     response: Response,
-    tolerances: PyTree,
+    tolerances: object,
     *,
     seed: int = 0,
     units: int | None = None,

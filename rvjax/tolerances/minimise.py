@@ -68,7 +68,7 @@ class _Sampled:
         return _look(self.response, self.given, x, z, **self._options)
 
     def step(
-        self, optimizer: "optax.GradientTransformation", state: PyTree, x: jax.Array, z: jax.Array, look: Look
+        self, optimizer: "optax.GradientTransformation", state: object, x: jax.Array, z: jax.Array, look: Look
     ) -> tuple[PyTree, jax.Array]:
         """State of the optimiser and x after a step from x, where units with random numbers z have this look."""
         return _step(self.response, self.given, x, z, state, *look[:2], optimizer=optimizer, **self._options)
@@ -100,14 +100,14 @@ def _step(
     given: _Priced,
     x: jax.Array,
     z: jax.Array,
-    state: PyTree,
+    state: object,
     value: jax.Array,
     slope: jax.Array,
     *,
     fields: tuple[str, ...],
     objective: Objective,
     optimizer: "optax.GradientTransformation",
-) -> tuple[PyTree, jax.Array]:
+) -> tuple[object, jax.Array]:
     import optax
 
     total, slope = _total(response, given, z, fields, objective), _inwards(slope, x, given)
@@ -175,12 +175,12 @@ def _values(response: Response, population: Population) -> Callable[..., tuple[V
         failed = ~succeeded(status)
         return masked(values, failed, jnp.nan), failed
 
-    def forward(errors: Values) -> tuple[tuple[Values, jax.Array], PyTree]:
+    def forward(errors: Values) -> tuple[tuple[Values, jax.Array], object]:
         values, pull, status = jax.vjp(units, errors, has_aux=True)
         failed = ~succeeded(status)
         return (masked(values, failed, jnp.nan), failed), (pull, failed)
 
-    def backward(kept: PyTree, slopes: tuple[Values, Any]) -> tuple[Values]:
+    def backward(kept: PyTree, slopes: tuple[Values, object]) -> tuple[Values]:
         pull, failed = kept
         (found,) = pull(masked(slopes[0], failed, 0.0))
         return (masked(found, failed, 0.0),)
@@ -224,9 +224,9 @@ class Minimum:
 def minimise(
     objective: Objective,
     response: Response,
-    tolerances: Any,
+    tolerances: object,
     *,
-    costs: Any,
+    costs: object,
     optimizer: "optax.GradientTransformation | None" = None,
     samples: int = 4096,
     steps: int = 400,
@@ -278,7 +278,7 @@ def minimise(
     return _minimum(sampled, x, history, steps if finite else len(history) - 1, looks)
 
 
-def _check(population: Population, costs: Any, priced: Mapping[str, Cost], **counts: int) -> None:
+def _check(population: Population, costs: object, priced: Mapping[str, Cost], **counts: int) -> None:
     for name in population.active:
         given = costs.get(name, 0.0) if isinstance(costs, Mapping) else getattr(costs, name, 0.0)
         if name not in priced and given is not None:

@@ -62,7 +62,7 @@ class Moments:
 @checked
 def rss(
     response: Response,
-    tolerances: PyTree,
+    tolerances: object,
     *,
     order: int = 1,
     requirements: object = None,
@@ -233,7 +233,7 @@ class _Propagated:
     total: float | None = None  # variance where it is not the sum of the shares
 
 
-def _figures(item: _Propagated, requirement: Limits | None, law: Spread) -> dict[str, PyTree]:
+def _figures(item: _Propagated, requirement: Limits | None, law: Spread) -> dict[str, object]:
     shared = sum(item.variances.values())
     sd = math.sqrt(max(0.0, shared if item.total is None else item.total))
     limits = requirement if requirement is not None and requirement.of_units else None

@@ -173,7 +173,7 @@ def _decode(value: object, arrays: dict[str, np.ndarray]) -> PyTree:
     return {key: again(item) for key, item in value.items()}
 
 
-def _rebuild(name: str, fields: dict[str, PyTree]) -> object:
+def _rebuild(name: str, fields: dict[str, object]) -> object:
     known = {cls.__name__: cls for cls in _classes()}
     if name not in known:
         raise ValueError(f"load: this version of rvjax has no result {name!r}")

@@ -77,7 +77,7 @@ class SobolIndices:
 @checked
 def sobol_indices(
     response: Response,
-    tolerances: PyTree,
+    tolerances: object,
     *,
     samples: int,
     seed: int,

@@ -48,7 +48,7 @@ class WorstCase:
 
 
 @checked
-def worst_case(response: Response, tolerances: PyTree, *, refine: bool = True) -> WorstCase:
+def worst_case(response: Response, tolerances: object, *, refine: bool = True) -> WorstCase:
     """Smallest and largest response when every error may lie anywhere between its limits.
 
     The search starts at the corner that the gradient signs at the mid-point point to. With `refine` it
@@ -78,7 +78,7 @@ def worst_case(response: Response, tolerances: PyTree, *, refine: bool = True) -
     return by_name(WorstCase, found)
 
 
-def slopes_change_sign(response: Response, tolerances: PyTree) -> dict[str, bool]:
+def slopes_change_sign(response: Response, tolerances: object) -> dict[str, bool]:
     """Mark the responses, by name, with a slope that changes its sign within the limits.
 
     Args:

@@ -167,7 +167,7 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None, me
 def _side(
     study: Study,
     response: Response,
-    tolerances: PyTree,
+    tolerances: object,
     certificate: Statistics,
     curves: _Curves,
     influence: Mapping[str, Influence],
@@ -198,13 +198,13 @@ def _curves(study: Study, response: Response, population: Population) -> _Curves
     if drawing and curve.angles is not None:
         angle = np.asarray(curve.angles(study.conditions))
 
-        def solved_units(tolerances: PyTree, seed: int) -> tuple[np.ndarray, np.ndarray]:
+        def solved_units(tolerances: object, seed: int) -> tuple[np.ndarray, np.ndarray]:
             population = Population.of(tolerances)
             return angle, drawing[0].rows(population, _shown(population, seed), CURVE)
 
         return solved_units
 
-    def drawn_units(tolerances: PyTree, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    def drawn_units(tolerances: object, seed: int) -> tuple[np.ndarray, np.ndarray]:
         population = Population.of(tolerances)
         return curves_of(curve, study.design, study.conditions, population, _shown(population, seed))
 

@@ -8,7 +8,6 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -81,7 +80,7 @@ def not_limited(study: Study) -> Response | None:
     return Response.of(study.design, tuple(names), study.conditions) if names else None
 
 
-def unlimited(study: Study, tolerances: Any) -> dict[str, Unlimited]:
+def unlimited(study: Study, tolerances: object) -> dict[str, Unlimited]:
     """Measure the outputs that a loaded study does not limit, on units with some tolerances.
 
     Args:
@@ -149,7 +148,7 @@ def counterparts(study: Study) -> dict[str, str]:
     return found
 
 
-def whole(study: Study, tolerances: Any) -> Whole | None:
+def whole(study: Study, tolerances: object) -> Whole | None:
     """Measure the units of some tolerances on the whole reducer; None where nothing of the study is measured there.
 
     Args:

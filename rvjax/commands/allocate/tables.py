@@ -135,11 +135,11 @@ class _Price(Column):
 class _Met(Text):
     """Column for a met requirement, cells are by `met_text`: 1 or 0 in a file."""
 
-    def text(self, cell: Cell) -> str:
+    def text(self, cell: object) -> str:
         """The text with its sign."""
         return f"{'✔' if cell == 'met' else '✘'} {cell}"
 
-    def _given(self, cell: Cell) -> list[Value]:
+    def _given(self, cell: object) -> list[Value]:
         return [int(cell == "met")]
 
 

@@ -69,7 +69,7 @@ class Bench:
         limits = dict(lower=-math.inf, upper=-self.requirement.lower)
         return self._mirrored, dataclasses.replace(self.requirement, **limits)
 
-    def _mirrored(self, parts: PyTree, index: PyTree) -> PyTree:
+    def _mirrored(self, parts: PyTree, index: PyTree) -> object:
         return jax.tree.map(
             lambda leaf: leaf if jnp.issubdtype(leaf, jnp.integer) else -leaf, self.response(parts, index)
         )

@@ -186,7 +186,7 @@ def _shares(budget: Budget, levels: tuple[str, ...] = LEVELS, *, errors: bool = 
     return Table("shares", columns, list(_share_rows(budget, levels, errors)))
 
 
-def _share_rows(budget: Budget, levels: tuple[str, ...], errors: bool) -> Iterator[list[Any]]:
+def _share_rows(budget: Budget, levels: tuple[str, ...], errors: bool) -> Iterator[list[object]]:
     for level in levels:
         sums = {load: budget.by(level, load) for load in budget.torque}
         shares = {load: budget.shares(level, load) for load in budget.torque}
@@ -234,7 +234,7 @@ def _largest_orders(budget: Budget, shown: int) -> list[int]:
     return sorted(int(k) for k in order[:shown] if size[k - 1] > NOTHING * size.sum())
 
 
-def _everything(budget: Budget) -> tuple[list[Column], list[list[Any]]]:
+def _everything(budget: Budget) -> tuple[list[Column], list[list[object]]]:
     """All values, one in a row: errors, `total` and `alike`."""
     titles = ("load", "torque N m", "order", "error", "part", f"mean square ({budget.unit})^2")
     rows: list[list[Any]] = []

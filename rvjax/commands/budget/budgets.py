@@ -99,7 +99,7 @@ def error_budget(
     study: Study,
     *,
     output: str | None = None,
-    tolerances: Any = None,
+    tolerances: object = None,
     loads: Mapping[str, float] | None = None,
     samples: int = 256,
     seed: int | None = None,
@@ -261,7 +261,7 @@ PER_ELEMENT = 3  # units for each number of the errors, at least
 FEWEST_REGRESSED = 768
 
 
-def budget_if_any(study: Study, tolerances: Any = None) -> Budget | None:
+def budget_if_any(study: Study, tolerances: object = None) -> Budget | None:
     """The budget of a study with a torque and a response that has a curve along the output; None for another study.
 
     That of a costly curve is linear, and under the load of the study only.
@@ -276,7 +276,7 @@ def budget_if_any(study: Study, tolerances: Any = None) -> Budget | None:
     return found or error_budget(study, tolerances=tolerances)
 
 
-def linear_budget(study: Study, tolerances: Any) -> Budget | None:
+def linear_budget(study: Study, tolerances: object) -> Budget | None:
     """Budget under the load of the study; None where no costly output reads the curve.
 
     Args:

@@ -20,8 +20,8 @@ from rvjax.base.words import choose
 from rvjax.errors import STAGES, described
 from rvjax.outputs import Curve, Output, torque_condition
 from rvjax.population import Population
-from rvjax.records import Design, PyTree, Record, Scalar, field, record, text
-from rvjax.render import CSV, EVERYWHERE, Cell, Column, Interval, Note, Quantity, Table, Text, number
+from rvjax.records import Design, Record, Scalar, field, record, text
+from rvjax.render import CSV, EVERYWHERE, Column, Interval, Note, Quantity, Table, Text, number
 from rvjax.response import per_response
 from rvjax.study import Study
 from rvjax.tolerances import Influence
@@ -38,7 +38,7 @@ class _Drawn(Record):
     condition: str = text("name of the torque")
     evaluate: Callable[..., tuple[jax.Array, jax.Array]] = text("of a model")
 
-    def __call__(self, errors: PyTree) -> tuple[jax.Array, jax.Array]:
+    def __call__(self, errors: object) -> tuple[jax.Array, jax.Array]:
         """Angles and values (n,)."""
         given = self.conditions
         if self.torque is not None:
@@ -270,7 +270,7 @@ def influence_tables(study: Study, influence: Mapping[str, Influence]) -> list[T
     return [Table("influence", [Column(title) for title in (*titles, *ends)], rows, on=IN_FILE), *shown, means]
 
 
-def _influence_row(study: Study, one: Influence, field: str, name: str) -> list[Cell]:
+def _influence_row(study: Study, one: Influence, field: str, name: str) -> list[object]:
     """Numbers of an error and a response for the file."""
     (error_unit, error_size), (unit, size) = readable(study.unit(field)), study.output(name).shown
     mean, single = (each[field] * error_size / size or None for each in (one.slopes, one.scatter))

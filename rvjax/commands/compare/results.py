@@ -112,7 +112,7 @@ def _same(a: PyTree, b: PyTree) -> bool:
     return a == b or (numbers and math.isclose(a, b, rel_tol=1e-9))
 
 
-def _at(found: PyTree, *keys: str) -> PyTree:
+def _at(found: object, *keys: str) -> PyTree:
     for key in keys:
         found = found.get(key) if isinstance(found, dict) else None
     return found
@@ -143,7 +143,7 @@ def only(first: Result, second: Result, *keys: str) -> list[str]:
     return [name for name in _at(first, *keys) or () if name not in (_at(second, *keys) or ())]
 
 
-def _form(limits: dict[str, PyTree] | None) -> str:
+def _form(limits: dict[str, object] | None) -> str:
     """Words of the drawing, "" for limits."""
     return str(limits.get("form", "")) if limits else ""
 
@@ -263,7 +263,7 @@ def put_into(study: Study, tolerances: PyTree) -> PyTree:
     return study.tolerances.replace(**found)
 
 
-def cost_of(study: Study, tolerances: PyTree) -> float:
+def cost_of(study: Study, tolerances: object) -> float:
     """Cost of tolerances in the costs of a study.
 
     Args:

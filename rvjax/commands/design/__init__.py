@@ -211,7 +211,7 @@ def data(study: Study, found: Designed) -> dict[str, Any]:
     }
 
 
-def _point(study: Study, point: Point | None) -> dict[str, Any] | None:
+def _point(study: Study, point: Point | None) -> dict[str, object] | None:
     if point is None:
         return None
     found = point.found

@@ -210,7 +210,7 @@ def data(study: Study, found: Designed) -> dict[str, Any]:
     }
 
 
-def _distance(study: Study, found: Designed, sliders: list[dict[str, Any]], name: str) -> dict[str, Any]:
+def _distance(study: Study, found: Designed, sliders: list[dict[str, Any]], name: str) -> dict[str, object]:
     """Distance of a requirement from its limit, and its slopes."""
     joint, output = found.joint.found, study.output(name)
     unit, size = output.shown
@@ -223,7 +223,7 @@ def _distance(study: Study, found: Designed, sliders: list[dict[str, Any]], name
     }  # fmt: skip
 
 
-def _nominal(study: Study, found: Designed, sliders: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _nominal(study: Study, found: Designed, sliders: list[dict[str, Any]]) -> list[dict[str, object]]:
     """Outputs without errors with their slopes to the variables."""
     if not study.without_errors:
         return []

@@ -204,7 +204,7 @@ def _bands(case: Problem, found: identify.Posterior) -> tuple[Band, ...]:
     wave = np.exp(1j * np.outer(orders, angle))
     offset = "offset" in case.nuisance
 
-    def curve(seen: Mapping[str, PyTree], r: int) -> np.ndarray:
+    def curve(seen: Mapping[str, object], r: int) -> np.ndarray:
         rows = np.stack([np.asarray(seen[order_name(k)])[..., r] for k in orders], axis=-1)
         return np.real(rows @ wave) + (np.asarray(seen["mean"])[..., r, None] if offset else 0.0)
 

@@ -15,7 +15,6 @@ from rvjax import identify
 from rvjax.base.fields import element
 from rvjax.commands.identify.identified import Identified, field_of, unit_of
 from rvjax.loaded import HEAD_PARTS
-from rvjax.records import PyTree
 from rvjax.render import Quantity
 from rvjax.units import arcsec, deg
 
@@ -238,7 +237,7 @@ def _value(answer: Identified, terms: Mapping[str, float]) -> Quantity:
     return Quantity(total, unit, total - spread, total + spread, shown)
 
 
-def elements(structure: Mapping[str, PyTree]) -> dict[str, float]:
+def elements(structure: Mapping[str, object]) -> dict[str, float]:
     """{element: number} of values with the structure of a prior."""
     found = {}
     for name in sorted(structure):

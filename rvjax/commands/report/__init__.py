@@ -143,7 +143,7 @@ def compute(inputs: ReportInputs) -> Shown | None:
     return Shown(found, moved, budget, bearings, friction)
 
 
-def _sections(study: Study, tolerances: PyTree) -> tuple[Section | None, ...]:
+def _sections(study: Study, tolerances: object) -> tuple[Section | None, ...]:
     """Sections on bearing lives, friction and the error budget."""
     lives, losses = lives_if_any(study, tolerances), losses_if_any(study, tolerances)
     budget = budget_if_any(study, tolerances)

@@ -89,7 +89,7 @@ class _Rated(Record):
     design: Design = field("-", "the reducer", kind="record")
     ways: tuple[tuple[str, Any], ...] = text("arguments of the rating or the orders")
 
-    def __call__(self, errors: PyTree, duty: PyTree) -> PyTree:
+    def __call__(self, errors: PyTree, duty: PyTree) -> object:
         return life.rating(errors.stiffened(self.design), errors, duty, **dict(self.ways))
 
 
@@ -97,18 +97,18 @@ class _Rated(Record):
 class _Turned(_Rated):
     """Orders (discs, cranks, orders) of the forces of one unit under a torque, N."""
 
-    def __call__(self, errors: PyTree, torque: PyTree) -> PyTree:
+    def __call__(self, errors: PyTree, torque: PyTree) -> object:
         design = errors.stiffened(self.design)
         return life.force_orders(design, errors, output_torque=torque, **dict(self.ways)).amplitude
 
 
 @per_response(options=QUICK)
-def _of_units(unit: Callable[[PyTree, PyTree], PyTree], population: Population, z: jax.Array, load: PyTree) -> PyTree:
+def _of_units(unit: Callable[[PyTree, PyTree], PyTree], population: Population, z: jax.Array, load: object) -> PyTree:
     """Lives or orders of the units with random numbers z (numbers, units)."""
     return jax.vmap(lambda z: unit(population.errors(z), load), in_axes=-1)(z)
 
 
-def _units_of(study: Study, tolerances: PyTree) -> tuple[_Rated, _Turned, Population, life.Duty] | None:
+def _units_of(study: Study, tolerances: object) -> tuple[_Rated, _Turned, Population, life.Duty] | None:
     """Arguments of the programs; None where the study requires no life."""
     if not any(name in study.requirements for name in LIVES):
         return None
@@ -125,7 +125,7 @@ def _units_of(study: Study, tolerances: PyTree) -> tuple[_Rated, _Turned, Popula
     )
 
 
-def lives_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> Lives | None:
+def lives_if_any(study: Study, tolerances: object, *, units: int = UNITS) -> Lives | None:
     """The bearing lives of a study that requires one; None for another study.
 
     Args:
@@ -149,10 +149,10 @@ def lives_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> Liv
     if not fine.any():
         raise ValueError(f"study {study.name}: none of {units} units has a bearing life")
 
-    def lives(z: PyTree, duty: life.Duty) -> Values:
+    def lives(z: np.ndarray, duty: life.Duty) -> Values:
         return np.asarray(_of_units(unit, population, z, duty).life)
 
-    def gain(z: PyTree) -> tuple[float, float]:
+    def gain(z: np.ndarray) -> tuple[float, float]:
         changed = lives(z, duty)[fine]
         below = np.nanquantile(changed, LOW) - np.quantile(rated.life[fine], LOW)
         return float(np.nanmean(changed) - np.mean(rated.life[fine])), float(below)
@@ -200,7 +200,7 @@ def _names(discs: int, cranks: int, supports: bool) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _flat(arm: PyTree, support: PyTree) -> Values:
+def _flat(arm: object, support: object) -> Values:
     """Values of all bearings of units (units, b), the arm bearings first."""
     parts = [np.asarray(part) for part in (arm, support) if part is not None]
     return np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)

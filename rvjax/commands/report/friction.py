@@ -95,7 +95,7 @@ class _Turned(Record):
     conditions: Any = text("of the study")
     torques: tuple[float, ...] = text("of the output, N m")
 
-    def __call__(self, errors: PyTree) -> tuple[Turned, ...]:
+    def __call__(self, errors: object) -> tuple[Turned, ...]:
         return turned(self.design, errors, self.conditions, self.torques)
 
 
@@ -105,7 +105,7 @@ def _of_units(unit: _Turned, population: Population, z: jax.Array) -> tuple[Turn
     return jax.vmap(lambda z: unit(population.errors(z)), in_axes=-1)(z)
 
 
-def losses_if_any(study: Study, tolerances: PyTree, *, units: int = UNITS) -> UnitLosses | None:
+def losses_if_any(study: Study, tolerances: object, *, units: int = UNITS) -> UnitLosses | None:
     """The losses of a study that requires an output of friction; None for another study.
 
     Args:

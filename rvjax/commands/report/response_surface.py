@@ -12,7 +12,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
@@ -103,7 +103,7 @@ class Surrogate:
         weights = self.weights[units] / self.weights[units].sum()
         return dataclasses.replace(self, weights=weights, base=base, columns=columns)
 
-    def place(self, tolerances: Any) -> np.ndarray:
+    def place(self, tolerances: object) -> np.ndarray:
         """Parameters of tolerances, in reaches (p,).
 
         Args:

@@ -58,7 +58,7 @@ def script(found: Surrogate, answer: Answer) -> Markup:
     return script_of(data(found, answer), "report/live_page.js")
 
 
-def script_of(numbers: dict[str, Any], page: str) -> Markup:
+def script_of(numbers: dict[str, object], page: str) -> Markup:
     """Numbers as JSON, and the script of all sliders with that of a page.
 
     Args:

@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Iterable, Mapping
 from operator import attrgetter
-from typing import Any
+from typing import TYPE_CHECKING
 
 from rvjax.catalogue import shown
 from rvjax.designs import CamRollerReducer, RVReducer
@@ -37,6 +37,9 @@ from rvjax.study.kinds.rv_facts import (
 )
 from rvjax.study.kinds.rv_starts import NEEDED, STARTS, rated_torque
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 __all__ = ["KINDS", "Kind", "changed", "facts_of", "kind_of", "orders_of"]
 
 
@@ -50,13 +53,13 @@ def _rv_caption(design: RVReducer) -> str:
     )
 
 
-def _rv_drawn(design: RVReducer) -> Any:
+def _rv_drawn(design: RVReducer) -> "Axes":
     from rvjax.plotting import drawings  # only a drawing needs Matplotlib
 
     return drawings.reducer(design)
 
 
-def _rv_compared(before: RVReducer, after: RVReducer) -> Any:
+def _rv_compared(before: RVReducer, after: RVReducer) -> "Axes":
     from rvjax.plotting import drawings
 
     return drawings.before_and_after(before, after)

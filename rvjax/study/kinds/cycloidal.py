@@ -5,7 +5,7 @@ import math
 import re
 from collections.abc import Collection, Iterator
 from operator import attrgetter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rvjax.catalogue import sharp_from, shown
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
@@ -13,6 +13,9 @@ from rvjax.mounting import unit_errors
 from rvjax.records import Scalar
 from rvjax.study.kinds.kind import Assumed, Drawing, Kind, Numbers, Start
 from rvjax.study.values import in_unit
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 RATED = {"cycloidal-15": 5.0, "cycloidal-17": 8.8, "cycloidal-29": 116.0}
 """Rated torque, N m."""
@@ -208,13 +211,13 @@ def _caption(design: CycloidalReducer) -> str:
     )
 
 
-def _drawn(design: CycloidalReducer) -> Any:
+def _drawn(design: CycloidalReducer) -> "Axes":
     from rvjax.plotting import drive  # only a drawing needs Matplotlib
 
     return drive.reducer(design)
 
 
-def _compared(before: CycloidalReducer, after: CycloidalReducer) -> Any:
+def _compared(before: CycloidalReducer, after: CycloidalReducer) -> "Axes":
     from rvjax.plotting import drive
 
     return drive.before_and_after(before, after)

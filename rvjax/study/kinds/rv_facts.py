@@ -160,7 +160,7 @@ AXIAL = next(law for law in LAWS if "bearings.disc_position" in law.numbers)  # 
 
 def _others(
     design: RVReducer, values: Mapping[str, Scalar], new: Mapping[str, PyTree], stands: Collection[str]
-) -> dict[str, PyTree]:
+) -> dict[str, object]:
     """The derived K1, and base circles of gears with another pressure angle."""
     found: dict[str, PyTree] = {SHORTENING: None} if {*LENGTHS} & {*values} and SHORTENING not in stands else {}
     if ANGLE in values:

@@ -15,7 +15,7 @@ from rvjax.catalogue import ASSUMED, RV_40E_WHOLE, fields_of_kind, shown
 from rvjax.designs import InvoluteStage, RollerBearing, RVReducer
 from rvjax.life import static_rating
 from rvjax.population import it_width
-from rvjax.records import PyTree, Scalar
+from rvjax.records import Scalar
 from rvjax.study.kinds.kind import Assumed, Known, Law, Numbers, Start, number_at, outside
 from rvjax.study.kinds.rv_facts import AXIAL, FOLLOWING, KNOWN_REDUCERS, LAWS, NAMES, RATED, SIZES
 from rvjax.study.values import in_unit
@@ -211,7 +211,7 @@ def tolerance_ratios(numbers: Numbers) -> dict[str, tuple[float, str]]:
     return found
 
 
-def arm_force(bearing: PyTree) -> float:
+def arm_force(bearing: RollerBearing) -> float:
     """Largest force of a turning-arm bearing at rated torque for static safety at start and stop, N.
 
     Args:

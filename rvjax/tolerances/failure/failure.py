@@ -77,7 +77,7 @@ class FailureProbability:
 @checked
 def failure_probability(
     response: Response,
-    tolerances: PyTree,
+    tolerances: object,
     requirement: object,
     *,
     samples: int,
@@ -131,7 +131,7 @@ def failure_probability(
     return by_name(FailureProbability, found)
 
 
-def _searched(search: "_Search", random: np.random.Generator, samples: int) -> dict[str, PyTree]:
+def _searched(search: "_Search", random: np.random.Generator, samples: int) -> dict[str, object]:
     """The fields of the result from the second estimate, the search and draws about its points."""
     second = search.second(random)
     mixture = search.mixture
