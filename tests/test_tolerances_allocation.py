@@ -16,6 +16,7 @@ import pytest
 from scale_study import bits
 from scipy import stats
 
+from benchmarks.optima_problems import Costly
 from rvjax.population.population import Population
 from rvjax.tolerances import (
     Exponential,
@@ -24,6 +25,7 @@ from rvjax.tolerances import (
     Tolerance,
     allocate,
     it_width,
+    monte_carlo,
 )
 from rvjax.tolerances.allocation import certificate
 from rvjax.tolerances.allocation.problem import problem_of
@@ -309,6 +311,20 @@ def test_grades():
     ]
     assert graded.grades == min(sets, key=lambda item: item[0])[1]
     assert graded.certificate.yield_.lower >= 0.9973
+
+
+def test_a_certificate_of_costly_grades_has_the_shares_of_all_units_and_nothing_else():
+    goal = Requirement(lower=-LIMIT, upper=LIMIT, target=0.99)
+    found = allocate(Costly(linear), PAIR, goal, costs=COSTS, grades=True, samples=2048, certificate_samples=8192)
+    seen, options = found.graded.certificate, dict(samples=8192, seed=found.certificate.seed, requirements=goal)
+    due = monte_carlo(linear, found.graded.tolerances, **options)
+    assert (seen.yield_, seen.ppm, seen.verdicts) == (due.yield_, due.ppm, due.verdicts)
+    assert found.graded.status == "OPTIMAL" and found.graded.grades
+    assert all(math.isnan(figure) for figure in (seen.mean.value, seen.sd.value, seen.minimum, seen.cpk))
+    assert seen.values is None and all(math.isnan(one.value) for one in seen.quantiles.values())
+    whole = monte_carlo(linear, found.tolerances, **options)
+    for name in ("mean", "sd"):
+        assert getattr(found.certificate, name).value == pytest.approx(getattr(whole, name).value, rel=1e-9)
 
 
 @pytest.mark.parametrize(

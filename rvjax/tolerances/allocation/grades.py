@@ -68,7 +68,7 @@ class Grades:
             near = constraints.look(self._at(places, end.look.x), sloped=False)
             best = places, near, certifier.test(constraints, near.x)
         places, look, seen = best
-        seen = certifier.whole(seen, self._decisions.population(look.x))
+        seen = certifier.shares(seen)
         held = certifier.holds(seen) and constraints.missed(look) <= 0
         names = {self._decisions.fields[j]: self.ladders[j][place][0] for j, place in places.items()}
         result = search.allocation(look, seen, "OPTIMAL" if held else "NOT_CERTIFIED", found.learned)

@@ -47,7 +47,8 @@ class Allocation:
             nothing was searched. Sampled slopes give it to a few percent; the cost is off by about its square.
         certificate: `Statistics` of independent units at `tolerances`; of up to 65536 with their responses.
         grades: {field: grade} of an allocation rounded to grades, else None.
-        graded: the allocation rounded to grades, with `grades=True`; else None.
+        graded: the allocation rounded to grades, with `grades=True`; else None. Its certificate of costly units has
+            shares and verdicts; other figures may be nan, because units far inside the limits are not solved.
         history: one dict per evaluated set: cost, margins {constraint: value}, half_widths {field: value}.
         evaluations: units of the response that were solved by the "search", with a gradient or without, and for
             "certificates"; units of the last "sample" of the search.

@@ -105,6 +105,21 @@ class Statistics:
         return frames.tidy(map(row, self.mean if some else ["response"]), ["response"])
 
 
+def shares_alone(statistics: Statistics) -> Statistics:
+    """Shares and verdicts; other figures are nan, for only units near the limits were solved.
+
+    Args:
+        statistics: of all units, by name, with old values of units that are far from the limits.
+    """
+    nothing = Estimate(*[math.nan] * 4)
+    estimates, numbers = (dict.fromkeys(statistics.mean, value) for value in (nothing, math.nan))
+    return dataclasses.replace(
+        statistics, mean=estimates, sd=estimates, quantiles=dict.fromkeys(statistics.quantiles, estimates),
+        minimum=numbers, maximum=numbers, cp=numbers, cpk=numbers, cp_estimate=estimates, cpk_estimate=estimates,
+        failures={}, examples={}, worst_index=None, values=None,
+    )  # fmt: skip
+
+
 def rejects(share: Estimate | None) -> Estimate | None:
     """Rejects per million of a share of good units."""
     if share is None:
