@@ -78,7 +78,7 @@ PASSES = {True: 110, False: 60}  # of a search and its cost curve over its sampl
 CERTIFICATES = {True: 5, False: 4}
 PASSES_A_POINT = 6  # of the cost curve
 # The same of rv-40e-whole, whose units are costly: the sample grows, and a point of the cost curve has few units.
-COSTLY_PASSES, COSTLY_CERTIFICATES, COSTLY_POINT = 13, 3, 8192
+COSTLY_PASSES, COSTLY_CERTIFICATES, COSTLY_POINT = {True: 13, False: 4}, 3, 6000
 COMPILING = {True: "30 s for a loaded RV-40E, 60 s", False: "20 s for an RV-40E, 45 s"}
 
 
@@ -88,7 +88,7 @@ def solved_units(study: Study) -> dict[str, int]:
     shown = 2 * SHOWN_VALUES if drawn > KEPT else 0
     if study.costly:
         found = {
-            SEARCHING: COSTLY_PASSES * study.samples + COSTLY_CERTIFICATES * drawn,
+            SEARCHING: COSTLY_PASSES[middles] * study.samples + COSTLY_CERTIFICATES * drawn,
             CERTIFYING: min(drawn, QUICK),
             SAMPLING: COSTLY_UNITS * (1 + len(study.fields)) + shown,
             PRICING: points * COSTLY_POINT,

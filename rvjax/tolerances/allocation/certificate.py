@@ -75,7 +75,7 @@ class Certifier:
         return seen if self._near is None or seen is self._whole else self.draw(population)
 
     def shares(self, seen: Statistics) -> Statistics:
-        """What is known of a certificate without the units far from the limits: shares and verdicts.
+        """Statistics of a certificate without the units far from the limits: shares and verdicts.
 
         `whole` has shown the same ones in all of 32 searches of twelve known problems.
 

@@ -43,7 +43,7 @@ _FIELDS = 60  # decisions that `QUICK` units are enough for: more learn the samp
 
 @dataclasses.dataclass(frozen=True)
 class Effort:
-    """What a search spends on units, and what it stops at.
+    """Looks and units of a search, and the accuracy at which it ends, for units of some time.
 
     Attributes:
         first: units of the first look; None: those of the problem.
@@ -132,7 +132,7 @@ class Problem:
 
     @functools.cached_property
     def effort(self) -> Effort:
-        """What its units allow."""
+        """Looks, units and accuracy of a search, for the time of one unit."""
         return OF_COSTLY if is_costly(self.response) else OF_QUICK
 
     @property
