@@ -38,8 +38,14 @@ def reached(case, found):
     return share, (share - case.target) / math.sqrt(case.target * (1 - case.target) / found.certificate.samples)
 
 
-@pytest.mark.parametrize("costly", [False, True])
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n == "steps")) for n in CASES])
+ROWS = [
+    pytest.param(name, costly, marks=[pytest.mark.long] * (name == "steps" or (name == "failing" and not costly)))
+    for name in CASES
+    for costly in (False, True)
+]
+
+
+@pytest.mark.parametrize(("name", "costly"), ROWS)
 def test_the_end_is_the_known_optimum(name, costly):
     case = CASES[name]
     found = solved(case, costly, seed=2 if name == "corner, number" else 0)  # some dozen units next to a corner scatter
