@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rvjax._jax.kernels import BatchedKernel
+from rvjax._jax.kernels import BatchedKernel, along_lanes
 
 
 def late():
@@ -39,3 +39,13 @@ def test_a_batch_along_another_axis_is_its_cases():
     x = np.arange(30.0).reshape(2, 3, 5)
     np.testing.assert_allclose(jax.vmap(made, in_axes=1)(x), x.sum(axis=-1).T)
     np.testing.assert_allclose(made(jnp.asarray(x[0])), x[0].sum(axis=-1))  # outside of any program
+
+
+def test_second_derivatives_of_a_function_along_lanes_are_exact():
+    """Forward derivatives batch the tangents alone."""
+    one = lambda x: along_lanes(lambda x: jnp.sin(x) * x)(x[None])[0]  # noqa: E731
+    x = jnp.array([0.0, 1.0, 2.0])
+    np.testing.assert_allclose(jax.vmap(jax.jacfwd(one))(x), np.sin(x) + x * np.cos(x), atol=1e-15)
+    second = jax.vmap(jax.jacfwd(jax.jacfwd(one)))(x)
+    np.testing.assert_allclose(second, 2 * np.cos(x) - x * np.sin(x), rtol=1e-14)
+    np.testing.assert_allclose(jax.jacfwd(jax.jacfwd(jax.vmap(one)))(x)[1, 1, 1], second[1], rtol=1e-14)

@@ -16,6 +16,7 @@ from scipy import stats
 
 import rvjax
 from rvjax.population.population import Population
+from rvjax.study import load
 from rvjax.tolerances import Requirement, Tolerance, for_design, monte_carlo, rss, sample, worst_case
 from rvjax.tolerances.worst_case import extremes
 from rvjax.units import um
@@ -360,3 +361,14 @@ def test_worst_case_counts_failures():
 def test_bad_order_is_named():
     with pytest.raises(ValueError, match="order = 3: must be 1 or 2"):
         rss(linear, stack(), order=3)
+
+
+@pytest.mark.long  # second derivatives of the four-bar model compile for half a minute
+def test_moments_of_the_embedded_study_to_second_order():
+    study = load("rv-40e")
+    found = rss(study.response(), study.tolerances, order=2)
+    drawn = monte_carlo(study.response(), study.tolerances, samples=65_536, seed=5)
+    assert found.method["lost_motion"] == "second order"
+    for name, sd in found.sd.items():
+        assert sd == pytest.approx(drawn.sd[name].value, rel=0.02)
+        assert abs(found.mean[name] - drawn.mean[name].value) < 0.02 * sd

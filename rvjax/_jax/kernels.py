@@ -119,6 +119,9 @@ def along_lanes(function: Callable[..., Result]) -> Callable[..., Result]:
 
     @batched.def_vmap
     def _rule(size: int, is_batched: PyTree, *arguments: PyTree) -> tuple[PyTree, PyTree]:
+        if not any(jax.tree.leaves(is_batched)):  # tangents alone are a batch: another call would come here for ever
+            found = function(*arguments)
+            return found, jax.tree.map(lambda _: False, found)
         lanes = [x.shape[1 if of_batch else 0] for x, of_batch in zip(*map(jax.tree.leaves, (arguments, is_batched)))]
 
         def flat(leaf: jax.Array, of_batch: bool) -> jax.Array:
