@@ -239,6 +239,7 @@ def test_an_answer_solves_about_as_many_units_as_check_tells(answers, text, fact
     study, allocation = answers[text].study, answers[text].allocation
     counted = (allocation.graded or allocation).evaluations
     told, middles = solved_units(study), bool(study.middles)
+    assert list(told) == [SEARCHING, CERTIFYING, SAMPLING, PRICING]  # the order in which they run
     passes, certificates = counted["search"] / QUICK, counted["certificates"]
     certificates /= units_of(study.requirements, study.certificate_samples)
     assert PASSES[middles] / factor < passes < factor * PASSES[middles]

@@ -15,13 +15,14 @@ import pytest
 from scipy import integrate, special, stats
 
 import rvjax
+from rvjax.population import Population
 from rvjax.records import Record, field, record
 from rvjax.response.response import respond
 from rvjax.status import Status
 from rvjax.study.response import Response
 from rvjax.tolerances import Estimate, Outcome, Requirement, Tolerance, failure_probability, for_design, monte_carlo
 from rvjax.tolerances.failure import failure, subset
-from rvjax.tolerances.failure.form import Found, slopes
+from rvjax.tolerances.failure.form import Found, Units, slopes
 from rvjax.tolerances.failure.importance_sampling import Mixture
 from rvjax.units import um
 from tests.oracles.programs import programs
@@ -386,3 +387,14 @@ def test_two_hits_leave_a_probability_within_its_range():
         found = failure_probability(bowl, tolerances, Requirement(upper=3.5), samples=20, seed=seed)
         assert 0 <= found.probability.lower < found.probability.upper <= 1
         assert 0 <= found.second.lower < 2.81017e-6 < found.second.upper
+
+
+def test_an_infinite_value_is_a_value_and_a_missing_one_is_none():
+    """A life without load is infinite; the status of such a unit is that of a missing value."""
+
+    def life(e):
+        value = jnp.where(e["a"] > 0.05, jnp.inf, jnp.where(e["a"] < -0.15, jnp.nan, e["a"]))
+        return Outcome({"y": value}, jnp.where(jnp.isfinite(value), int(Status.CONVERGED), int(Status.NONFINITE)))
+
+    units = Units(life, Population.of({"a": Tolerance.symmetric(0.3)}), "y")
+    np.testing.assert_allclose(units.values(np.array([[-2.0, -0.5, 1.0]])), [np.nan, -0.05, np.inf])
