@@ -209,6 +209,18 @@ def test_many_weak_kinks_are_sampled(kinks, order):
     assert found.cpk == pytest.approx((30 - abs(mean)) / (3 * sd), abs=0.025)  # of 1: 0.90 at the mean
 
 
+@pytest.mark.parametrize("size", [0.3, 1.0])
+def test_kinks_whose_means_cancel_are_sampled(size):
+    """Plays on opposite sides, max(b, 0) - max(-a, 0) = (a + b + |b| - |a|)/2, move no mean, and the jump of the
+    gradient tells all that it misses. The variance of |b| is 1 - 2/pi of that of b, and it is not correlated with b.
+    """
+    parts = {name: Tolerance.symmetric(3.0) for name in "ab"}
+    found = rss(lambda e: 0.5 * e["a"] + size * (jnp.maximum(e["b"], 0) - jnp.maximum(-e["a"], 0)), parts)
+    variance = (0.5 + 0.5 * size) ** 2 + (0.5 * size) ** 2 * (1 + 2 * (1 - 2 / math.pi))
+    assert found.method == "sampled"
+    assert found.sd == pytest.approx(math.sqrt(variance), rel=4 / math.sqrt(2 * 16384))
+
+
 def test_kinks_that_leave_the_mean_alone_are_sampled_and_smooth_responses_are_not():
     """A dead band in every error has no slope at the mean; curvature belongs to the second order, however large."""
     quiet = MANY | {"w": Tolerance.symmetric(3.0)}

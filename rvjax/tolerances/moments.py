@@ -117,8 +117,7 @@ def _by_name(
     for k, name in enumerate(names):
         gradient = at_mean[k]
         changes = beyond[k] - value[k]
-        smooth = np.isfinite(gradient).all()
-        if _missed(changes, gradient, near[k], away, abs(value[k])) if smooth else np.isfinite(far[k]).any():
+        if _kink(gradient, near[k], far[k], law.sd) or _missed(changes, gradient, near[k], away, abs(value[k])):
             found[name] = _sampled(far[k], law)
         elif order == 1:
             found[name] = _Propagated(float(value[k]), law.shares(gradient), gradient, "first order")
@@ -264,6 +263,15 @@ def _second_order(value: float, g: np.ndarray, h: np.ndarray, law: Spread) -> _P
     return _Propagated(mean, variances, g, "second order")
 
 
+def _kink(gradient: np.ndarray, near: np.ndarray, far: np.ndarray, sd: np.ndarray) -> bool:
+    """Does the gradient jump within a thousandth of a unit's deviations, by more than 10 % of its size there?"""
+    if not np.isfinite(gradient).all():
+        return bool(np.isfinite(far).any())
+    jump, size = (((v * sd) ** 2).sum(axis=1) for v in (near - gradient, far))
+    seen = np.isfinite(jump) & np.isfinite(size)
+    return bool(seen.any() and jump[seen].mean() > 0.01 * size[seen].mean())
+
+
 def _missed(changes: np.ndarray, gradient: np.ndarray, near: np.ndarray, away: np.ndarray, size: float) -> bool:
     """Do slope and curvature at the mean miss the changes of the response at whole units (units,)?
 
@@ -272,7 +280,7 @@ def _missed(changes: np.ndarray, gradient: np.ndarray, near: np.ndarray, away: n
     """
     straight, jump = gradient @ away, ((near - gradient) * away.T).sum(axis=1)
     sound = np.isfinite(changes) & np.isfinite(jump)
-    if sound.sum() < 2:
+    if sound.sum() < 2 or not np.isfinite(gradient).all():
         return False
     sd, rounding = changes[sound].std(), 8 * float(jnp.finfo(jnp.result_type(float)).eps) * size
 
