@@ -227,7 +227,8 @@ def _back_driving(start: BackDriving, design: Reducer, conditions: FrictionCondi
 
 
 def _power(of_turn: Turned, design: Reducer, conditions: FrictionConditions) -> Solved:
-    return abs(conditions.output_speed or 0.0) * of_turn.loss, of_turn.status
+    assert conditions.output_speed is not None  # a study without it is refused
+    return abs(conditions.output_speed) * of_turn.loss, of_turn.status
 
 
 def _set_of(conditions: FrictionConditions) -> tuple[Source, ...]:
