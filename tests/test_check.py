@@ -12,7 +12,7 @@ import pytest
 
 from rvjax import catalogue, cli, designs, study
 from rvjax.commands import check
-from rvjax.commands.check import expected, forewarn
+from rvjax.commands.forecast import expected, forewarn
 from rvjax.commands.init import written
 from rvjax.study.design import doubts
 from rvjax.units import mm

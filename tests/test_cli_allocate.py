@@ -17,7 +17,7 @@ import rvjax.commands.allocate.answer
 from rvjax import cli, render
 from rvjax.commands.allocate import answer, report_on
 from rvjax.commands.budget.budgets import scalar_budget
-from rvjax.commands.check import (
+from rvjax.commands.forecast import (
     CERTIFICATES,
     CERTIFYING,
     PASSES,

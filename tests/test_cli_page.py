@@ -21,7 +21,7 @@ from rvjax import cli, study
 from rvjax.commands import report as command
 from rvjax.commands.allocate import report_on, requirement_table
 from rvjax.commands.cells import met_text
-from rvjax.commands.check import targets
+from rvjax.commands.forecast import targets
 from rvjax.commands.report import ReportInputs, Shown, page_of, sliders
 from rvjax.commands.report.page import WorstUnit, rows_of, worst_units
 from rvjax.population.sample_statistics import CentralMoments, Sampled

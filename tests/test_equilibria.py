@@ -4,7 +4,7 @@ import pytest
 
 from rvjax import levels, study
 from rvjax.commands.allocate import answer
-from rvjax.commands.check import (
+from rvjax.commands.forecast import (
     CERTIFYING,
     PRICING,
     SAMPLING,

@@ -10,7 +10,7 @@ from live_study import FEW
 
 import rvjax
 from rvjax import tolerances
-from rvjax.commands.check import SHOWN_VALUES
+from rvjax.commands.forecast import SHOWN_VALUES
 from rvjax.commands.report import region, response_surface, sliders
 from rvjax.response import derivatives
 from rvjax.response.response import BLOCK

@@ -43,7 +43,7 @@ from rvjax.commands.allocate.tables import (
 )
 from rvjax.commands.budget.effects import influence_tables
 from rvjax.commands.cells import assumed_text, failures_text, limit_text, searched_texts, share
-from rvjax.commands.check import expected, forewarn, phases_of, seconds_of_units
+from rvjax.commands.forecast import expected, forewarn, phases_of, seconds_of_units
 from rvjax.life import dynamic_rating
 from rvjax.outputs import Output
 from rvjax.population import Estimate, deviate_of

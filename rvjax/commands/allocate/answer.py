@@ -16,7 +16,7 @@ from rvjax.base.files import versions
 from rvjax.base.progress import begin, progress_bar
 from rvjax.commands.allocate.full_model_check import Unlimited, Whole, unlimited, whole
 from rvjax.commands.budget.effects import curves_of
-from rvjax.commands.check import CERTIFYING, PRICING, SAMPLING, SEARCHING, shown_values, targets
+from rvjax.commands.forecast import CERTIFYING, PRICING, SAMPLING, SEARCHING, shown_values, targets
 from rvjax.population import Population, root_key
 from rvjax.records import PyTree
 from rvjax.render import numbered_folders

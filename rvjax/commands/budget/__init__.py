@@ -22,7 +22,7 @@ from rvjax.commands.budget.budgets import (
     scalar_budget,
 )
 from rvjax.commands.budget.effects import LEVELS, SHARE_MEANS, UNMOVED_MEANS, influence_share, slope_text, together_text
-from rvjax.commands.check import forewarn
+from rvjax.commands.forecast import forewarn
 from rvjax.render import (
     CSV,
     EVERYWHERE,

@@ -9,7 +9,6 @@ from rvjax import study
 from rvjax.base import progress
 from rvjax.commands import Inputs, argument, option, quiet_option, whole_number
 from rvjax.commands.cells import evaluated, failures_text, limit_text, limits_data, limits_of, met_text, share
-from rvjax.commands.check import forewarn
 from rvjax.commands.compare.results import (
     Crossed,
     Result,
@@ -24,6 +23,7 @@ from rvjax.commands.compare.results import (
     result,
     shown,
 )
+from rvjax.commands.forecast import forewarn
 from rvjax.records import PyTree
 from rvjax.render import Cell, Column, Content, Limits, Note, Number, Quantity, Report, Table, Text
 from rvjax.study import Study, numbers, shown as sized

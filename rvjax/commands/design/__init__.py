@@ -12,10 +12,10 @@ from rvjax.catalogue import steep
 from rvjax.commands import READING, WRITING, Inputs, argument, option, quiet_option, results_option, share_cores, switch
 from rvjax.commands.allocate import answer
 from rvjax.commands.cells import assumed_text, failures_text, limits_data
-from rvjax.commands.check import forewarn
 from rvjax.commands.design.optimum import JOINT, STEPS, TRADE, UNSCALED, Designed, Point, optima
 from rvjax.commands.design.prices import block, price_note, script, slope, unit_of_number
 from rvjax.commands.design.tables import headline, laws_of, numbers, others, requirements_of, saved_part, tolerances_of
+from rvjax.commands.forecast import forewarn
 from rvjax.population import sample
 from rvjax.render import Figure, Note, Report, Section, leading_comment, results_folder
 from rvjax.study import Study, StudyError, kind_of, number_at, outside, shown

@@ -26,7 +26,7 @@ from rvjax.commands import (
     whole_number,
 )
 from rvjax.commands.cells import evaluated, failures_text, met_text, searched_texts, share
-from rvjax.commands.check import forewarn, unit_seconds
+from rvjax.commands.forecast import forewarn, unit_seconds
 from rvjax.commands.montecarlo import batch
 from rvjax.render import Column, Note, Number, Quantity, Report, Table, Text
 from rvjax.study import Study

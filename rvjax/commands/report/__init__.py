@@ -23,7 +23,7 @@ from rvjax.commands import (
 )
 from rvjax.commands.allocate import FILE, Answer, answer, headline, report_on, restored_from
 from rvjax.commands.budget import budget_if_any, section_on
-from rvjax.commands.check import expected, forewarn, phases_of, seconds_of_units
+from rvjax.commands.forecast import expected, forewarn, phases_of, seconds_of_units
 from rvjax.commands.report import response_surface
 from rvjax.commands.report.bearings import bearing_section, lives_if_any
 from rvjax.commands.report.friction import friction_section, losses_if_any

@@ -21,7 +21,7 @@ from rvjax.commands.allocate import (
 )
 from rvjax.commands.budget.effects import influence_tables
 from rvjax.commands.cells import against_limit, condition_text, share
-from rvjax.commands.check import shown_values
+from rvjax.commands.forecast import shown_values
 from rvjax.commands.report import response_surface, sliders
 from rvjax.population import Population, root_key
 from rvjax.records import PyTree

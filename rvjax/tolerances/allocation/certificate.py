@@ -21,7 +21,7 @@ from rvjax.tolerances.allocation.problem import OF_QUICK, SPARE, Effort, Problem
 from rvjax.tolerances.allocation.sample import Values
 from rvjax.tolerances.allocation.tails import FEWEST
 from rvjax.tolerances.batch.statistics import Statistics, rejects, shares_alone
-from rvjax.tolerances.failure.failure import failure_probability
+from rvjax.tolerances.failure import failure_probability
 from rvjax.tolerances.limits import Limits, Verdict
 
 TESTS = 10
@@ -77,7 +77,7 @@ class Certifier:
     def shares(self, seen: Statistics) -> Statistics:
         """Statistics of a certificate without the units far from the limits: shares and verdicts.
 
-        `whole` has shown the same ones in all of 32 searches of twelve known problems.
+        All units have shown the same ones in 36 sets of grades, of twelve known problems with three seeds.
 
         Args:
             seen: by `test`.

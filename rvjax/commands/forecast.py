@@ -1,0 +1,136 @@
+"""Forecast of a computation: warnings, levels, seconds of a unit; phases, units and seconds of an allocation."""
+
+import dataclasses
+import sys
+from typing import Any
+
+from rvjax import levels
+from rvjax.base.progress import spelled
+from rvjax.commands import say
+from rvjax.levels import Choice
+from rvjax.response import BLOCK
+from rvjax.study import Study
+from rvjax.tolerances import COSTLY_UNITS, KEPT, QUICK, units_of
+from rvjax.units import with_unit
+
+
+def choices(study: Study) -> dict[str, Choice]:
+    """Level of each response: selected by its accuracy, else by the conditions."""
+    outputs = tuple(study.requirements)
+    given = levels.as_given(study.design, outputs, study.conditions, tolerances=study.tolerances)
+    return given | study.choices()
+
+
+def level_lines(study: Study) -> list[str]:
+    """One line for each response: its level, that level's error, and why."""
+    lines = []
+    for name, choice in choices(study).items():
+        unit, size = study.output(name).shown
+        error = "" if choice.bound is None else f"error < {with_unit(choice.bound / size, unit, '.2g')}; "
+        lines.append(f"{name}: {choice.level} ({error}{choice.why})")
+    return lines
+
+
+def unit_seconds(study: Study) -> float | None:
+    """Time of one unit on two cores, or None where a level was never measured."""
+    found, results = 0.0, dict[tuple[Any, Any], None]()  # several outputs read one result
+    for name, choice in choices(study).items():
+        if sources := levels.sources_of(study.design, choice.instead or name):
+            given = dataclasses.replace(study.conditions, **dict(choice.settings))
+            results |= dict.fromkeys((source, given) for source in sources)
+        elif choice.ns is None:
+            return None
+        else:
+            found += 1e-9 * choice.ns
+    solved = levels.seconds(study.design, results)
+    return None if solved is None else found + solved
+
+
+def forewarn(study: Study, time: str = "") -> None:
+    """Print warnings on input values, and the level of each response with an accuracy, before any work.
+
+    Args:
+        study: as read.
+        time: expected time of the command, shown next to the levels; "" for none.
+    """
+    for line in study.doubts:
+        say(f"rvjax: warning: {line}", file=sys.stderr)
+    if study.accuracy:
+        for line in filter(None, [*level_lines(study), time]):
+            say(f"rvjax: {line}", file=sys.stderr)
+
+
+SEARCHING, CERTIFYING = "cheapest tolerances", "yield before"  # phases of a run
+SAMPLING, PRICING = "sample units", "cost against yield"
+SHOWN_VALUES = KEPT  # units behind a histogram: those of the certificate where it has no more
+FEWEST_BEYOND = 8  # units of the learning sample beyond a limit, below which a point of the cost curve is left out
+YIELD_SWEEP = (0.9, 0.95, 0.99, 0.995, 0.999)
+
+# Counted in results of rv-40e, with moving mid-points and half-widths rounded to grades, and of rv-40e-whole.
+PASSES = {True: 110, False: 60}  # of a search and its cost curve over its sample, with and without moving mid-points
+CERTIFICATES = {True: 5, False: 4}
+PASSES_A_POINT = 6  # of the cost curve
+# The same of costly units, of an RV-20E with a moving mid-point and of rv-40e-whole; points of the curve have few.
+COSTLY_PASSES, COSTLY_CERTIFICATES, COSTLY_POINT = {True: 7, False: 4}, 3, 6000
+COMPILING = {True: "30 s for a loaded RV-40E, 60 s", False: "20 s for an RV-40E, 45 s"}
+
+
+def solved_units(study: Study) -> dict[str, int]:
+    """Estimate the number of solved units in each phase of a run, in their order."""
+    middles, drawn, points = bool(study.middles), study.certificate_samples, len(targets(study))
+    shown = 2 * SHOWN_VALUES if drawn > KEPT else 0
+    if study.costly:
+        found = {
+            SEARCHING: COSTLY_PASSES[middles] * study.samples + COSTLY_CERTIFICATES * drawn,
+            CERTIFYING: min(drawn, QUICK),
+            SAMPLING: COSTLY_UNITS * (1 + len(study.fields)) + shown,
+            PRICING: points * COSTLY_POINT,
+        }
+    else:
+        found = {
+            SEARCHING: PASSES[middles] * QUICK + CERTIFICATES[middles] * units_of(study.requirements, drawn),
+            CERTIFYING: drawn,
+            SAMPLING: shown,
+            PRICING: points * (PASSES_A_POINT * study.samples + shown_values(study)),
+        }
+    return {phase: int(units) for phase, units in found.items()}
+
+
+def targets(study: Study) -> list[float]:
+    """Target yields of the points of the cost curve; none if no requirement has a target."""
+    if all(requirement.goal != "target" for requirement in study.requirements.values()):
+        return []
+    return [target for target in YIELD_SWEEP if study.samples * (1 - target) >= FEWEST_BEYOND]
+
+
+def shown_values(study: Study) -> int:
+    """Units behind a histogram."""
+    return min(SHOWN_VALUES, study.certificate_samples)
+
+
+def seconds_of_units(study: Study) -> float | None:
+    """Seconds of two cores that the units of an allocation take, if they are costly; 0 for others, None if unknown."""
+    unit = unit_seconds(study) if study.costly else 0.0
+    return unit and unit * sum(solved_units(study).values())
+
+
+def expected(study: Study) -> str:
+    """Time and memory of an allocation, from the measured time of a unit, in words."""
+    unit = unit_seconds(study)
+    if unit is None:
+        return "time: unknown, these levels are not measured"
+    return (
+        f"time: about {spelled(unit * sum(solved_units(study).values()))} of computation on the two cores of the "
+        f"measured table, besides tracing and compilation ({COMPILING[study.costly]} at the first run); "
+        f"chunks of {BLOCK:,} units, memory does not grow with their number"
+    )
+
+
+def phases_of(before: str, *after: str) -> tuple[str, ...]:
+    """Phases of a run.
+
+    Args:
+        before: phase before it.
+        *after: phases after it.
+    """
+    return before, SEARCHING, CERTIFYING, SAMPLING, PRICING, *after
