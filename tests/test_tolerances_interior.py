@@ -1,5 +1,6 @@
 """The minimum of the model of a step, beside SLSQP on random convex models, and the conditions of an optimum."""
 
+import jax
 import numpy as np
 import pytest
 from scipy import optimize
@@ -80,3 +81,38 @@ def test_many_variables_with_slopes_of_unlike_size():
     v, prices = minimum(model, np.full(200, -4.0), np.full(200, -12.0), np.full(200, 12.0))
     assert prices == pytest.approx([1.0], rel=1e-4)
     np.testing.assert_allclose(v, np.log(a / (2 * c)) / 3, atol=1e-4)
+
+
+def evaluated(slopes):
+    """Places at which the model of 0 <= x <= 3, s >= 0, x <= 1 + s was looked at, its end and its price."""
+    places = []
+
+    def model(v, prices):
+        places.append(v)
+        return Model(slopes(v), np.zeros((2, 2)), np.array([1 - v[0] + v[1]]), np.array([[-1.0, 1.0]]))
+
+    end, prices = minimum(model, np.array([0.5, 0.1]), np.zeros(2), np.array([3.0, np.inf]))
+    return len(places), end, prices
+
+
+@pytest.mark.parametrize("price", [10.0, 1e4])
+def test_an_excess_of_any_price_ends_in_few_steps(price):
+    """80 steps are the most: at its bound an excess times its price must be no gap."""
+    steps, end, prices = evaluated(lambda v: np.array([-1.0, price]))
+    assert steps < 30
+    np.testing.assert_allclose(end, [1.0, 0.0], atol=1e-7)
+    np.testing.assert_allclose(prices, [1.0], rtol=1e-6)
+
+
+def test_rounding_of_costs_in_single_precision_ends_the_steps():
+    def slopes(v):
+        noise = 1e-7 * np.sin(1e9 * v.sum())
+        return np.array([-1.0 + noise, 10.0])
+
+    jax.config.update("jax_enable_x64", False)
+    try:
+        steps, end, _ = evaluated(slopes)
+    finally:
+        jax.config.update("jax_enable_x64", True)
+    assert steps < 30
+    np.testing.assert_allclose(end, [1.0, 0.0], atol=1e-4)

@@ -13,9 +13,21 @@ import pytest
 from codesign_cases import one_start
 from test_tolerances_constraints import X, constraints
 
-from rvjax.tolerances import Middle, Nominal, QuadraticLoss, ReciprocalPower, Requirement, Tolerance, Variable, allocate
+from benchmarks.optima_problems import Costly
+from rvjax.tolerances import (
+    Middle,
+    Nominal,
+    QuadraticLoss,
+    ReciprocalPower,
+    Requirement,
+    Tolerance,
+    Variable,
+    allocate,
+    monte_carlo,
+)
 from rvjax.tolerances.allocation import programme
 from rvjax.tolerances.allocation.certificate import Certifier
+from rvjax.tolerances.allocation.grades import Grades
 from rvjax.tolerances.allocation.programme import STATIONARY
 from rvjax.tolerances.allocation.search import Search
 from rvjax.units import um
@@ -153,6 +165,21 @@ def test_a_certificate_that_does_not_hold(monkeypatch):
         sized = {name: item.replace(size=0.025) for name, item in PAIR.items()}
         found = allocate(linear, sized, BOTH, **options, **FEW)
         assert found.status == "NOT_CERTIFIED" and (found.graded is None or found.graded.status == "NOT_CERTIFIED")
+
+
+def test_grades_of_costly_units_that_alone_are_certified_have_all_figures(monkeypatch):
+    """They become the result: means of units near the limits alone would be wrong."""
+    begun, holds, rounded = [], Certifier.holds, Grades.rounded
+    monkeypatch.setattr(Certifier, "holds", lambda self, statistics: bool(begun) and holds(self, statistics))
+    monkeypatch.setattr(Grades, "rounded", lambda self, *given: (begun.append(True), rounded(self, *given))[1])
+    found = allocate(Costly(linear), PAIR, BOTH, grades=True, **FEW)
+    assert found.status in ("OPTIMAL", "MAX_STEPS", "SUBOPTIMAL") and found.graded.status == "OPTIMAL"
+    assert found.half_widths == found.graded.half_widths and found.grades is None
+    seen = found.certificate
+    due = monte_carlo(linear, found.tolerances, samples=seen.samples, seed=seen.seed, requirements=BOTH)
+    for name in ("mean", "sd"):
+        assert getattr(seen, name).value == pytest.approx(getattr(due, name).value, rel=1e-9)
+    assert np.isnan(found.graded.certificate.mean.value) and seen.values is not None
 
 
 @pytest.mark.filterwarnings("error")
