@@ -101,4 +101,7 @@ certificate_samples = 4096
     assert begun == [SEARCHING, CERTIFYING, SAMPLING, PRICING]
     assert list(phases_of("before", "after")) == ["before", *begun, "after"]
     whole = study.load("rv-40e-whole", solve=False)
+    middle = '[middle.pin_circle_radius]\nlower = "-5 um"\nupper = "5 um"\n'
+    moving = study.parse_study(WHOLE + middle, name="mine", solve=False)
+    assert 1.2 < solved_units(moving)[SEARCHING] / solved_units(whole)[SEARCHING] < 2
     assert solved_units(whole)[SAMPLING] == 128 * 21  # each of 20 errors of 128 units is sampled again

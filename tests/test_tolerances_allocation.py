@@ -29,6 +29,7 @@ from rvjax.tolerances import (
 )
 from rvjax.tolerances.allocation import certificate
 from rvjax.tolerances.allocation.problem import problem_of
+from rvjax.tolerances.batch.statistics import shares_alone
 from rvjax.units import mm, um
 from tests.oracles.linear_pair import (
     COSTS,
@@ -311,6 +312,21 @@ def test_grades():
     ]
     assert graded.grades == min(sets, key=lambda item: item[0])[1]
     assert graded.certificate.yield_.lower >= 0.9973
+
+
+def test_shares_alone_have_no_other_figure():
+    """Failed units are rejects; which ones failed, and why, is not known where not all units were solved."""
+    response = lambda e: {"y": jnp.where(e["a"] > 5 * um, jnp.nan, e["a"])}  # noqa: E731
+    seen = monte_carlo(response, PAIR, samples=2000, seed=1, requirements={"y": BOTH}, keep=True)
+    found = shares_alone(seen)
+    assert seen.failures and seen.examples and seen.worst_index is not None
+    assert (found.yield_, found.ppm, found.verdicts, found.failed) == (
+        seen.yield_,
+        seen.ppm,
+        seen.verdicts,
+        seen.failed,
+    )
+    assert (found.failures, found.examples, found.worst_index, found.values) == ({}, {}, None, None)
 
 
 def test_a_certificate_of_costly_grades_has_the_shares_of_all_units_and_nothing_else():

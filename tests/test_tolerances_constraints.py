@@ -25,7 +25,7 @@ from rvjax.tolerances import (
     WorstCaseWithin,
 )
 from rvjax.tolerances.allocation.constraints import Constraints
-from rvjax.tolerances.allocation.problem import problem_of
+from rvjax.tolerances.allocation.problem import FEW, problem_of
 from rvjax.tolerances.allocation.rays import Rays
 from rvjax.tolerances.allocation.result import _without_groups
 from tests.oracles.responses import Made
@@ -53,6 +53,15 @@ def constraints(required, *, response=BENT, costly=False, samples=4096, begun=X,
     made.sample(samples)
     made.begin(begun)
     return made
+
+
+def test_all_quick_units_are_looked_at_where_no_limit_decides():
+    """Their sample has weights; few of them would be another sample. Of costly units few are enough."""
+    far = {name: Requirement(lower=-9.0, upper=9.0, target=0.99) for name in "yb"}
+    for costly in (False, True):
+        made = constraints(far, costly=costly)
+        made.spare(made.look(X, sloped=False))
+        assert len(made.values(X)["y"]) == (FEW if costly else 4096)
 
 
 def differences(of, x=X, step=1e-4):

@@ -145,6 +145,17 @@ def test_costly_units_are_few():
     assert found.objective.lower < best()[1] < found.objective.upper
 
 
+def test_grades_of_costly_units_have_the_loss_of_all_units():
+    """Units near a limit alone would not tell it."""
+    sized = {name: item.replace(size=25e-3) for name, item in parts().items()}
+    goal = {"y": Requirement(lower=-40 * um, upper=40 * um, target=0.99)}
+    costs = {name: cost.replace(finest=1 * um) for name, cost in COSTS.items()}
+    options = FEW | dict(costs=costs, certificate_samples=4096, grades=True)
+    graded = allocate(Costly(), sized, goal, losses={"y": LOSS}, **options).graded
+    due = K * sum((A[n] * t) ** 2 for n, t in graded.half_widths.items()) / 9
+    assert graded.losses["y"].value == pytest.approx(due, rel=0.15)  # 4096 units: 2.2 % in one standard error
+
+
 @pytest.mark.long
 def test_a_limit_of_an_output_without_errors_stays_exact_beside_a_loss():
     from rvjax.tolerances import Variable
