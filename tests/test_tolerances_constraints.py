@@ -57,7 +57,7 @@ def constraints(required, *, response=BENT, costly=False, samples=4096, begun=X,
 
 def test_all_quick_units_are_looked_at_where_no_limit_decides():
     """Their sample has weights; few of them would be another sample. Of costly units few are enough."""
-    far = {name: Requirement(lower=-9.0, upper=9.0, target=0.99) for name in "yb"}
+    far = {name: Requirement(lower=-9.0, upper=9.0, target=0.99) for name in "ybd"}
     for costly in (False, True):
         made = constraints(far, costly=costly)
         made.spare(made.look(X, sloped=False))
