@@ -4,7 +4,8 @@
     python -m benchmarks.size --way rv-40e-whole     also the files that `rvjax allocate` of a study runs through
 
 A code line has a token that is no comment and no docstring. A place that distinguishes costly responses is a code line
-with the name `costly` or `is_costly` in it. A number at module level is an assignment of numbers, or of tuples of them.
+with the name `costly` or `is_costly` in it, or with `effort.tails`, which says the same of a search. A number at module
+level is an assignment of numbers, or of tuples of them.
 """
 
 import argparse
@@ -22,6 +23,7 @@ ROOT = Path(__file__).parents[1]
 OPTIMISER = ROOT / "rvjax" / "tolerances" / "allocation"
 LONG_CLASS, LONG_FUNCTION = 200, 60
 COSTLY = {"costly", "_costly", "is_costly"}
+TAILS = ["effort", ".", "tails"]
 _LAYOUT = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
 
 
@@ -50,11 +52,13 @@ def source(path: Path) -> Source:
         for line in range(node.lineno, (node.end_lineno or node.lineno) + 1)
     }
     lines, costly = set[int](), set[int]()
+    before = ["", ""]
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
         if token.type not in _LAYOUT:
             lines |= set(range(token.start[0], token.end[0] + 1))
-        if token.type == tokenize.NAME and token.string in COSTLY:
+        if token.type == tokenize.NAME and (token.string in COSTLY or [*before, token.string] == TAILS):
             costly.add(token.start[0])
+        before = [before[1], token.string]
     return Source(path, tree, lines - docs, costly - docs)
 
 
