@@ -227,7 +227,7 @@ def _back_driving(start: BackDriving, design: Reducer, conditions: FrictionCondi
 
 
 def _power(of_turn: Turned, design: Reducer, conditions: FrictionConditions) -> Solved:
-    assert conditions.output_speed is not None  # a study without it is refused
+    assert conditions.output_speed is not None  # a study without it has an error
     return abs(conditions.output_speed) * of_turn.loss, of_turn.status
 
 

@@ -30,7 +30,7 @@ from rvjax.tolerances.batch.run import Run as Run
 from rvjax.tolerances.batch.shares import Folder as Folder, Processes as Processes, take as take
 from rvjax.tolerances.batch.statistics import Statistics
 from rvjax.tolerances.batch.unit_file import ENDINGS as ENDINGS, UnitFile
-from rvjax.tolerances.failure import FailureProbability, failure_probability
+from rvjax.tolerances.failure.failure import FailureProbability, failure_probability
 from rvjax.tolerances.influence import (
     COSTLY_UNITS as COSTLY_UNITS,
     Influence as Influence,

@@ -21,7 +21,7 @@ from rvjax.tolerances.allocation.problem import OF_QUICK, SPARE, Effort, Problem
 from rvjax.tolerances.allocation.sample import Values
 from rvjax.tolerances.allocation.tails import FEWEST
 from rvjax.tolerances.batch.statistics import Statistics, rejects, shares_alone
-from rvjax.tolerances.failure import failure_probability
+from rvjax.tolerances.failure.failure import failure_probability
 from rvjax.tolerances.limits import Limits, Verdict
 
 TESTS = 10
