@@ -173,36 +173,57 @@ def test_two_sides_of_a_statistic_are_two_rows():
         np.testing.assert_allclose(np.diff(side, 2), 0.0, atol=1e-12)
 
 
+class One:
+    """An output of a costly response, as a part of it."""
+
+    costly = True
+
+    def __init__(self, name):
+        self.name = name
+
+    def __call__(self, errors, values):
+        return {self.name: errors["a"] + values["d"] * errors["b"]}
+
+
+class Two(One):
+    """Costly units of two parts with equal values."""
+
+    def parts(self):
+        return [One("y"), One("w")]
+
+    def __call__(self, errors, values):
+        return One("y")(errors, values) | One("w")(errors, values)
+
+
+FAR = dict(y=Requirement(upper=0.4, target=0.99), w=Requirement(upper=2.0, target=0.99))
+"""Limits of the two parts, of which the second one does not decide."""
+
+
 def test_a_part_that_does_not_decide_has_few_units():
-    """Costly units of two parts: the second one, far from its limit, is solved for 512."""
-
-    class Part:
-        costly = True
-
-        def __init__(self, name):
-            self.name = name
-
-        def __call__(self, errors, values):
-            return {self.name: errors["a"] + values["d"] * errors["b"]}
-
-    class Two(Part):
-        def parts(self):
-            return [Part("y"), Part("w")]
-
-        def __call__(self, errors, values):
-            return Part("y")(errors, values) | Part("w")(errors, values)
-
-    required = dict(y=Requirement(upper=0.4, target=0.99), w=Requirement(upper=9.0, target=0.99))
-    made = constraints(required, response=Two("both"), samples=2048)
+    """It is solved for 512."""
+    made = constraints(FAR, response=Two("both"), samples=2048)
     made.spare(made.look(X))
-    assert made.aside == {"w"}
+    assert made.aside == {"w"} and made.decisive(("y", "w", "d")) == ("y", "d")
     before, moved = made.units.solved, X + 0.01
     values = made.values(moved)
     assert [len(values[name]) for name in "yw"] == [2048, 512] and made.units.solved - before == (2048 + 512) // 2
     np.testing.assert_allclose(values["w"], values["y"][:512], rtol=1e-12)
-    joint = constraints(required, response=Two("both"), samples=2048, joint_target=0.99)
+    made.spare(None)
+    assert made.aside == set() and len(made.values(moved)["w"]) == 2048
+    joint = constraints(FAR, response=Two("both"), samples=2048, joint_target=0.99)
     joint.spare(joint.look(X))
     assert joint.aside == set()  # each unit counts as a whole
+
+
+def test_derivatives_of_a_part_that_does_not_decide_are_taken_where_it_begins_to():
+    made = constraints(FAR, response=Two("both"), samples=2048)
+    made.spare(made.look(X))
+    found, every = made.look(X), made.look(X, every=True)
+    assert not found.jacobian[1].any() and every.jacobian[1].any()
+    np.testing.assert_array_equal(found.jacobian[0], every.jacobian[0])
+    np.testing.assert_array_equal(found.used, every.used)
+    wide = X + np.array([4.0, 4.0, 0, 0, 0, 0])
+    assert made.look(wide).used[1] > 0.85 and made.look(wide).jacobian[1].any()
 
 
 def test_groups_left_out_have_the_error_of_the_quantile():

@@ -229,7 +229,7 @@ def test_single_precision_finds_the_same_optimum():
 
 @pytest.mark.parametrize(("lower", "holds"), [(0.9899, False), (0.99, True)])
 def test_a_certificate_counts_a_joint_yield_by_its_worse_end(lower, holds):
-    made = lambda joint: Certifier(SimpleNamespace(joint_target=joint, run=None))  # noqa: E731
+    made = lambda joint: Certifier(SimpleNamespace(joint_target=joint, run=SimpleNamespace(names=())))  # noqa: E731
     met = {"y": SimpleNamespace(met=True)}
     statistics = SimpleNamespace(verdicts=met, joint_yield=Estimate(0.992, 0.001, lower, 0.994))
     assert made(0.99).holds(statistics) is holds

@@ -222,9 +222,11 @@ def _drawn_on(
 class InParts(Evaluator):
     """Chunks of a costly response, by the programs of its parts: those of an allocation, if one was run before."""
 
-    def __init__(self, response: Response, population: Population, seed: int, method: str, chunk: int) -> None:
+    def __init__(
+        self, response: Response, population: Population, seed: int, method: str, chunk: int, names: tuple[str, ...]
+    ) -> None:
         super().__init__(response, population, seed, method, chunk)
-        self._parts = parts(response, population)
+        self._parts = [part for part in parts(response, population) if set(part.names) & set(names)]
 
     def start(self, first: int) -> tuple[Values, jax.Array]:
         """Values and status of the chunk that begins with unit `first`."""
@@ -237,7 +239,9 @@ class InParts(Evaluator):
         return values, flags
 
 
-def evaluator(response: Response, population: Population, seed: int, method: str, chunk: int) -> Evaluator:
+def evaluator(
+    response: Response, population: Population, seed: int, method: str, chunk: int, names: tuple[str, ...]
+) -> Evaluator:
     """Evaluator of the chunks of one study.
 
     Args:
@@ -246,9 +250,11 @@ def evaluator(response: Response, population: Population, seed: int, method: str
         seed: of the random numbers.
         method: of the random numbers.
         chunk: units at once.
+        names: of the outputs that are wanted; parts of a costly response without any of them are not solved.
     """
-    kind = InParts if is_costly(response) else Evaluator
-    return kind(response, population, seed, method, chunk)
+    if is_costly(response):
+        return InParts(response, population, seed, method, chunk, names)
+    return Evaluator(response, population, seed, method, chunk)
 
 
 def status_without_errors(response: Response, population: Population) -> int:

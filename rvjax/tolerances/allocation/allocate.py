@@ -120,7 +120,7 @@ def solution(search: Search, *, grades: bool, yields: Sequence[float]) -> Alloca
     if grades and search.problem.priced and found.feasible:
         rounded, look = Grades(search).rounded(end, found)
         if rounded.status == "OPTIMAL" and found.status == "NOT_CERTIFIED":  # grades near it are the set
-            seen = search.certifier.whole(rounded.certificate, search.decisions.population(look.x))
+            seen = search.certifier.whole(rounded.certificate, search.constraints, look.x)
             status = search.status(seen, end, found.learned, look)
             found = dataclasses.replace(rounded, certificate=seen, status=status, grades=None)
         found = dataclasses.replace(found, graded=rounded)

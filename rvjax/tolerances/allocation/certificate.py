@@ -15,11 +15,12 @@ from rvjax.population import Population, deviate_of, wilson
 from rvjax.response import PLAIN
 from rvjax.status import Status
 from rvjax.tolerances.allocation.constraints import Constraints
-from rvjax.tolerances.allocation.look import DECIDES, FAILED, Look
+from rvjax.tolerances.allocation.look import DECIDES, FAILED, JOINT, Look
 from rvjax.tolerances.allocation.near import NearUnits
 from rvjax.tolerances.allocation.problem import OF_QUICK, SPARE, Effort, Problem
 from rvjax.tolerances.allocation.sample import Values
 from rvjax.tolerances.allocation.tails import FEWEST
+from rvjax.tolerances.batch.run import Run
 from rvjax.tolerances.batch.statistics import Statistics, rejects, shares_alone
 from rvjax.tolerances.failure.failure import failure_probability
 from rvjax.tolerances.limits import Limits, Verdict
@@ -41,10 +42,15 @@ class Certifier:
         self.solved = 0
         """Units solved so far."""
         self._near: NearUnits | None = None
+        self._names = problem.run.names
+        """Responses that certificates solve: those that decide, once one has shown the others."""
         self._whole: Statistics | None = None
+        """The latest certificate of all units and responses."""
 
     def test(self, constraints: Constraints, x: np.ndarray) -> Statistics:
         """Statistics of a certificate at a vector, whose verdicts count; `whole` has all its figures.
+
+        Responses that do not decide have no verdict before `whole`.
 
         Args:
             constraints: of the search.
@@ -52,27 +58,31 @@ class Certifier:
         """
         population = constraints.decisions.population(x)
         if self._near is None:
-            found = self.draw(population)
             rare = any(self.rare(item) for item in self.run.requirements.values())
-            if constraints.by_quantiles and found.values and not rare:
-                self._near, self._whole = NearUnits(constraints.units, self.run.z(), dict(found.values)), found
-            return found
+            if rare or not (constraints.by_quantiles and self.run.keep):
+                return self.draw(population)
+            self._names = constraints.decisive(self.run.names)
+            return self._begun(constraints, population)
         before = constraints.units.solved
-        values = self._near.values(population, constraints.limits())
+        values = self._near.values(population, constraints.limits(self._names))
         self.solved += constraints.units.solved - before
         constraints.units.solved = before
         failed = np.any([np.isnan(row) for row in values.values()], axis=0)
         status = np.where(failed, int(Status.NONFINITE), int(Status.CONVERGED))
-        return dataclasses.replace(self.run, population=population).of_units(values, status)
+        return self._run(population).of_units(values, status)
 
-    def whole(self, seen: Statistics, population: Population) -> Statistics:
-        """Statistics of all units of a certificate that held.
+    def whole(self, seen: Statistics, constraints: Constraints, x: np.ndarray) -> Statistics:
+        """Statistics of all units and responses of a certificate that held; later tests begin with these.
 
         Args:
             seen: by `test`.
-            population: tested.
+            constraints: of the search.
+            x: the vector.
         """
-        return seen if self._near is None or seen is self._whole else self.draw(population)
+        if self._near is None or seen is self._whole:
+            return seen
+        self._names = self.run.names
+        return self._begun(constraints, constraints.decisions.population(x))
 
     def shares(self, seen: Statistics) -> Statistics:
         """Statistics of a certificate without the units far from the limits: shares and verdicts.
@@ -88,13 +98,25 @@ class Certifier:
         """Statistics of independent units; a target beyond their resolution uses a probability of failure."""
         self.drawn += 1
         self.solved += self.run.samples
-        found = dataclasses.replace(self.run, population=population).statistics()
+        found = self._run(population).statistics()
         better = self._rare_verdicts(population)
         if not better:
             return found
         shares = found.yield_ | {name: verdict.estimate for name, verdict in better.items()}
         ppm = {name: rejects(share) for name, share in shares.items()}
         return dataclasses.replace(found, verdicts=found.verdicts | better, yield_=shares, ppm=ppm)
+
+    def _begun(self, constraints: Constraints, population: Population) -> Statistics:
+        """A certificate of all units, from whose values the next ones begin."""
+        found = self.draw(population)
+        self._near = NearUnits(constraints.units, self.run.z(), dict(found.values or {}))
+        self._whole = found if len(self._names) == len(self.run.names) else None
+        return found
+
+    def _run(self, population: Population) -> Run:
+        """The run of a certificate, with the responses that it solves."""
+        required = {name: item for name, item in self.run.requirements.items() if name in self._names}
+        return dataclasses.replace(self.run, population=population, names=self._names, requirements=required)
 
     def holds(self, statistics: Statistics) -> bool:
         """True if every requirement is met for certain, and the joint target if there is one."""
@@ -125,6 +147,10 @@ class Certifier:
             if item is not None and self.rare(item)
             else self._problem.shown(1 - target, self.run.samples)
         )
+
+    def all_wanted(self, constraints: Constraints) -> np.ndarray:
+        """`wanted` (c,) of all rows, 0 where no share is limited."""
+        return np.array([self.wanted(constraints, k) if row.share else 0.0 for k, row in enumerate(constraints.rows)])
 
     def _rare_verdicts(self, population: Population) -> dict[str, Verdict]:
         """Verdicts on the targets that the units of a certificate are too few for."""
@@ -206,7 +232,7 @@ def _shares(constraints: Constraints, look: Look, values: Values, weights: np.nd
     """Shares (c,) with which quantiles of these units lie at the limits; the wanted rejects where none does."""
     found = constraints.rejects.copy()
     for k, row in enumerate(constraints.rows):
-        if not row.share or not np.isfinite(look.used[k]):
+        if not row.share or not np.isfinite(look.used[k]) or row.name not in {*values, JOINT}:
             continue
         margins = constraints.margins(k, values)[0]
         low, high = math.log(found[k] / 10), math.log(min(10 * found[k], 0.5))

@@ -8,7 +8,7 @@ of the used ways are nearly linear in the squares of the half-widths, because va
 import dataclasses
 import functools
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 import numpy as np
 from scipy import special
@@ -124,13 +124,14 @@ class Constraints(WholeSample):
         if found:
             self.tails = TailSample(self.plain, self.problem.seed, Centres.joined(found))
 
-    def spare(self, look: Look) -> None:
-        """Look at few costly units of responses whose limits do not decide."""
-        if self.problem.effort.tails or self.problem.joint_target is not None:
+    def spare(self, look: Look | None) -> None:
+        """Solve few costly units of responses whose limits do not decide at a look; None: all units of all."""
+        self.aside, self._near = frozenset(), None
+        if look is None or self.problem.effort.tails or self.problem.joint_target is not None:
             return
         near = {row.name for k, row in enumerate(self.rows) if row.item is not None and look.used[k] > DECIDES}
         shares = {row.name for row in self.rows if row.share}
-        self.aside, self._near = frozenset(shares - near - set(self.problem.losses)), None
+        self.aside = frozenset(shares - near - set(self.problem.losses))
 
     @property
     def by_quantiles(self) -> bool:
@@ -138,13 +139,22 @@ class Constraints(WholeSample):
         alone = all(row.share or row.nominal or row.exact for row in self.rows)
         return alone and not (self.problem.effort.tails or self.problem.losses)
 
-    def limits(self) -> list[Limited]:
-        """Limits on shares, which decide what units are near."""
+    def decisive(self, names: tuple[str, ...]) -> tuple[str, ...]:
+        """The responses without those of parts in which no limit decides."""
+        spared = {name for part in self.units.parts if set(part.names) <= self.aside for name in part.names}
+        return tuple(name for name in names if name not in spared)
+
+    def limits(self, names: Collection[str] | None = None) -> list[Limited]:
+        """Limits on shares, which decide what units are near.
+
+        Args:
+            names: of the responses; None: all.
+        """
         together = tuple(n for n, i in self.problem.requirements.items() if i.of_units)
         return [
             Limited((r.name,) if r.item else together, functools.partial(self._in_ways, k), float(self.rejects[k]))
             for k, r in enumerate(self.rows)
-            if r.share
+            if r.share and (names is None or r.item is None or r.name in names)
         ]
 
     def _in_ways(self, k: int, values: Values) -> np.ndarray:
@@ -165,8 +175,14 @@ class Constraints(WholeSample):
 
     # Used ways.
 
-    def look(self, x: np.ndarray, *, sloped: bool = True) -> Look:
-        """Cost and used ways at a vector; `sloped` False: without derivatives of the units."""
+    def look(self, x: np.ndarray, *, sloped: bool = True, every: bool = False) -> Look:
+        """Cost and used ways at a vector, with derivatives of limits that may decide.
+
+        Args:
+            x: the vector.
+            sloped: False: without derivatives of the units.
+            every: True: with derivatives of all limits.
+        """
         decisions, n = self.decisions, self.decisions.size
         used, jacobian, errors = np.zeros(len(self.rows)), *np.zeros((2, len(self.rows), n))
         values = self.values(x)
@@ -179,7 +195,8 @@ class Constraints(WholeSample):
                 margins, outward = self.margins(k, values)
                 seen = self.quantile(k, margins)
                 used[k] = 1 + seen.level / self.ways[k]
-                if sloped and len(seen.units) and math.isfinite(seen.level):
+                wanted = sloped and (every or used[k] > DECIDES or row.name not in self.aside)
+                if wanted and len(seen.units) and math.isfinite(seen.level):
                     pulls.append((k, seen, {name: pull[seen.units] * seen.weights for name, pull in outward.items()}))
             elif row.exact:
                 used[k], jacobian[k] = self.worst_case(k, x)

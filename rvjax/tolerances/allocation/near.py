@@ -61,6 +61,8 @@ class NearUnits:
     def _solve(self, part: Part, population: Population, limits: Sequence[Limited], found: Values) -> bool:
         """Solve the units of a part that are near, the nearest first; True if these are all."""
         rows = {name: k for k, name in enumerate(part.names) if name in found}
+        if not rows:
+            return True
         count = len(found[next(iter(rows))])
         own = [limit for limit in limits if set(limit.names) & set(part.names)]
         before = [limit.margins(found) for limit in own]
@@ -81,8 +83,8 @@ class NearUnits:
                 found[name][todo] = values[k]
             if all(_enough(limit, was, found, solved) for limit, was in zip(own, before)):
                 break
-            left = order[~solved[order]]
-            todo = left[: solved.sum()] if 4 * solved.sum() <= count else left
+            more = max(int(solved.sum()) // 2 // AT_ONCE, 1) * AT_ONCE
+            todo = order[~solved[order]][:more]
         return bool(solved.all())
 
 
@@ -90,9 +92,11 @@ def _enough(limit: Limited, before: np.ndarray, found: Values, solved: np.ndarra
     """True if no other unit can be among those that the quantile is formed of."""
     if solved.all():
         return True
-    now, count, others = limit.margins(found), len(before), float(before[~solved].max())
-    decides = _margin(now, limit.share * count) > -_INSIDE
-    level = _margin(now, _WINDOW * limit.share * count + FEWEST) if decides else -_INSIDE
+    now, rejects, others = limit.margins(found), limit.share * len(before), float(before[~solved].max())
+    far, close = before <= others, now > -_INSIDE
+    if close[~far].sum() + close[far & solved].mean() * far.sum() <= rejects:  # the limit does not decide
+        return others < -_INSIDE
+    level = _margin(now, _WINDOW * rejects + FEWEST)
     if others >= level:
         return False
     like = solved & (before <= max(others, float(np.median(before[solved])))) & np.isfinite(before)

@@ -204,18 +204,18 @@ def _without_groups(constraints: Constraints, look: Look) -> Iterator[tuple[np.n
         yield used, jacobian
 
 
-def margins_of(constraints: Constraints, end: End) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
+def margins_of(constraints: Constraints, look: Look) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
     """Margins of the requirements at the end of a search, of two sides the larger, and their derivatives.
 
     Args:
         constraints: of the search.
-        end: of the search.
+        look: at the end, with all derivatives.
     """
-    decisions, x = constraints.decisions, end.look.x
+    decisions, x = constraints.decisions, look.x
     values, slopes = dict[str, float](), dict[str, dict[str, float]]()
     first, widths = len(decisions.fields) + len(decisions.moves), decisions.half_widths(x)
     for k, row in enumerate(constraints.rows):
-        value, rates = (end.look.used[k] - 1) * constraints.ways[k], end.look.jacobian[k] * constraints.ways[k]
+        value, rates = (look.used[k] - 1) * constraints.ways[k], look.jacobian[k] * constraints.ways[k]
         if row.item is None or not math.isfinite(value) or value <= values.get(row.name, -math.inf):
             continue
         values[row.name] = float(value)

@@ -22,6 +22,7 @@ DEARER = 0.2
 
 _BEYOND = 40  # units of the last sample beyond each limit that decides
 _MOST = 16_384  # costly units of a sample, at most
+_WHOLE = 3  # certificates of all units, after which a miss is a result
 _MORE, _TIMES = 0.02, 4  # part of the cost that more certificate units must save, and how many more at most
 _CHANGED = 0.03  # logarithm of wanted rejects, by which a search along rays is repeated
 _RAYS = 2  # times as many units of a sample that is looked at along rays, which are not in the tails
@@ -52,12 +53,10 @@ class Search:
         """The end of the search on the last sample, before any certificate."""
         constraints, decisions, effort = self.constraints, self.decisions, self.problem.effort
         start = decisions.start
-        for k, row in enumerate(constraints.rows):
-            if row.share:
-                constraints.rejects[k] = self.certifier.wanted(constraints, k)
+        constraints.rejects = self.certifier.all_wanted(constraints)
         constraints.begin(start)
-        lists = Lists(decisions)
-        low, high = self.programme.low, self.programme.high = lists.relaxed(decisions.low, decisions.high)
+        lists, programme = Lists(decisions), self.programme
+        low, high = programme.low, programme.high = lists.relaxed(decisions.low, decisions.high)
         several = starts(decisions, start, low, high) if decisions.free or effort.tails else [start]
         ends = [self.run(x, RADIUS, most=LOOKS if len(several) > 1 else None) for x in several]
         self.tried = tried(decisions, several, ends, constraints.count) if len(several) > 1 else []
@@ -69,9 +68,7 @@ class Search:
             self._grow(count, near[0].look)
             self._last = count == last
             near = sorted((self.run(end.look.x) for end in near), key=self._worth)[:1]
-        end = near[0]
-        if lists.entries:
-            end = self._listed(lists, end.look.x)
+        end = self._listed(lists, near[0].look.x) if lists.entries else near[0]
         return self._along_rays(end, start) if effort.tails and self._misled(end) else end
 
     def _inside(self, start: np.ndarray) -> np.ndarray:
@@ -129,8 +126,8 @@ class Search:
         """Evaluate a vector and note it."""
         look, decisions = (self.rays or self.constraints).look(x), self.decisions
         self.problem.advance(1)
-        margins = (look.used - 1) * self.constraints.ways
-        named = {row.name or "response": float(m) for row, m in zip(self.constraints.rows, margins)}
+        rows, margins = self.constraints.rows, (look.used - 1) * self.constraints.ways
+        named = {row.name or "response": float(m) for row, m in zip(rows, margins)}
         widths = dict(zip(decisions.fields, map(float, decisions.half_widths(x))))
         self.history.append(dict(cost=look.total, margins=named, half_widths=widths, values=decisions.values(x)))
         return look
@@ -192,17 +189,18 @@ class Search:
                 break
         if best is not None:
             end, seen, constraints.rejects, constraints.moved = best
-        seen = certifier.whole(seen, self.decisions.population(end.look.x))
+        held, seen = certifier.holds(seen), certifier.whole(seen, constraints, end.look.x)
+        if held and not certifier.holds(seen) and certifier.drawn <= _WHOLE:  # limits or units that tests left out
+            constraints.spare(None)
+            return self.certified(end)
         return self._result(end, seen, learned), end
 
     def _gain(self, end: End, rejects: np.ndarray, moved: np.ndarray) -> float:
         """Reduction of the cost by other wanted rejects and corrections, by the prices; along rays unknown."""
         constraints = self.constraints
         if self.rays is not None:
-            changed = np.abs(np.log(np.maximum(rejects, 1e-300) / np.maximum(constraints.rejects, 1e-300))).max(
-                initial=0.0
-            )
-            return float(changed > _CHANGED) * abs(end.look.total)
+            ratios = np.maximum(rejects, 1e-300) / np.maximum(constraints.rejects, 1e-300)
+            return float(np.abs(np.log(ratios)).max(initial=0.0) > _CHANGED) * abs(end.look.total)
         with np.errstate(invalid="ignore"):  # where too many units fail
             away = constraints.quantiles(end.look.x, constraints.rejects) - constraints.quantiles(end.look.x, rejects)
         away = np.where(np.isfinite(away), away, 0.0) + constraints.moved - moved
@@ -213,9 +211,7 @@ class Search:
         certifier, constraints, given = self.certifier, self.constraints, self.problem.run.samples
         while certifier.run.keep and 2 * certifier.run.samples <= _TIMES * given:
             run, certifier.run = certifier.run, dataclasses.replace(certifier.run, samples=2 * certifier.run.samples)
-            more = np.array(
-                [certifier.wanted(constraints, k) if row.share else 0.0 for k, row in enumerate(constraints.rows)]
-            )
+            more = certifier.all_wanted(constraints)
             if self._gain(end, more, constraints.moved) < _MORE * abs(end.look.total):
                 certifier.run = run
                 break
@@ -225,10 +221,11 @@ class Search:
 
     def _before(self, end: End) -> float:
         """Cost without losses at an end if its sample had to show the targets alone, by the prices."""
+        cost = end.look.total - end.look.loss
         if self.rays is not None:
-            return end.look.total - end.look.loss
+            return cost
         targets = np.array([self.constraints.target(k) for k in range(len(self.constraints.rows))])
-        spared, cost = self._gain(end, targets, self.constraints.moved), end.look.total - end.look.loss
+        spared = self._gain(end, targets, self.constraints.moved)
         return cost * math.exp(-spared / cost) if cost > 0 else cost - spared
 
     def status(self, seen: Statistics, end: End, learned: float, look: Look) -> str:
@@ -246,7 +243,8 @@ class Search:
     def _result(self, end: End, seen: Statistics, learned: float) -> Allocation:
         """Result of an end that was certified."""
         found = self.allocation(end.look, seen, self.status(seen, end, learned, end.look), learned)
-        reached, slopes = margins_of(self.constraints, end)
+        every = self.constraints.look(end.look.x, every=True) if self.constraints.aside else end.look
+        reached, slopes = margins_of(self.constraints, every)
         ways = self.constraints.ways if self.rays is None else self.rays.ways(end.look.x)
         prices = prices_of(self.constraints, end, end.prices, ways)
         confidence = self.certifier.run.confidence

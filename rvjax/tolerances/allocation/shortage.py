@@ -19,7 +19,8 @@ def least_shortage(search: Search, x: np.ndarray) -> End:
         x: (n,) vector from which it is sought, as well as from the start.
     """
     programme, constraints, count = search.programme, search.constraints, len(search.decisions.fields)
-    search.rays, constraints.aside = None, frozenset()
+    search.rays = None
+    constraints.spare(None)
     search.constraints.rejects = np.array([constraints.target(k) for k in range(len(constraints.rows))])
     high, free = programme.high.copy(), programme.high
     high[:count] = programme.low[:count]

@@ -84,7 +84,7 @@ class Run:
     def z(self) -> np.ndarray:
         """Random numbers (numbers, samples) of all units."""
         count = min(self.chunk, self.samples)
-        evaluated = evaluator(self.response, self.population, self.seed, self.method, count)
+        evaluated = evaluator(self.response, self.population, self.seed, self.method, count, self.names)
         rows = [np.asarray(evaluated.z(first)) for first in range(0, self.samples, count)]
         return np.concatenate(rows, axis=1)[:, : self.samples]
 
@@ -207,7 +207,7 @@ class Run:
         """
         samples, chunk = self.samples, self.chunk
         count = min(chunk, samples)
-        evaluated = evaluator(self.response, self.population, self.seed, self.method, count)
+        evaluated = evaluator(self.response, self.population, self.seed, self.method, count, self.names)
         asked = describe(self.population, {}) | {"seed": str(self.seed), "method": self.method, "count": str(count)}
 
         def start(first: int) -> tuple[dict[str, PyTree], PyTree]:
