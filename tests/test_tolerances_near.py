@@ -184,7 +184,8 @@ def allocated(need, seed=0):
 
     with mock.patch.object(Part, "solve", counted), mock.patch.object(Certifier, "test", tested):
         found = allocate(
-            Two("both"), dict.fromkeys("ab", Tolerance.symmetric(0.1)), need, samples=512, certificate_samples=8192, seed=seed,
+            Two("both"), dict.fromkeys("ab", Tolerance.symmetric(0.1)), need,
+            samples=512, certificate_samples=8192, seed=seed,
             costs=dict.fromkeys("ab", ReciprocalPower(reference=0.3, finest=0.02, coarsest=3.0)),
             variables={"d": Variable(0.99, 1.01, 1.0)},
         )  # fmt: skip
