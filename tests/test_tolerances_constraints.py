@@ -203,7 +203,7 @@ def test_a_part_that_does_not_decide_has_few_units():
     """It is solved for 512."""
     made = constraints(FAR, response=Two("both"), samples=2048)
     made.spare(made.look(X))
-    assert made.aside == {"w"} and made.decisive(("y", "w", "d")) == ("y", "d")
+    assert made.aside == {"w"} and made.units.decisive(("y", "w", "d"), made.aside) == ("y", "d")
     before, moved = made.units.solved, X + 0.01
     values = made.values(moved)
     assert [len(values[name]) for name in "yw"] == [2048, 512] and made.units.solved - before == (2048 + 512) // 2

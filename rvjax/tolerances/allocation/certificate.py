@@ -61,7 +61,7 @@ class Certifier:
             rare = any(self.rare(item) for item in self.run.requirements.values())
             if rare or not (constraints.by_quantiles and self.run.keep):
                 return self.draw(population)
-            self._names = constraints.decisive(self.run.names)
+            self._names = constraints.units.decisive(self.run.names, constraints.aside)
             return self._begun(constraints, population)
         before = constraints.units.solved
         values = self._near.values(population, constraints.limits(self._names))

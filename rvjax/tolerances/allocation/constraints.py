@@ -129,20 +129,14 @@ class Constraints(WholeSample):
         self.aside, self._near = frozenset(), None
         if look is None or self.problem.effort.tails or self.problem.joint_target is not None:
             return
-        near = {row.name for k, row in enumerate(self.rows) if row.item is not None and look.used[k] > DECIDES}
-        shares = {row.name for row in self.rows if row.share}
-        self.aside = frozenset(shares - near - set(self.problem.losses))
+        far = {row.name for row, used in zip(self.rows, look.used) if row.share and used <= DECIDES}
+        self.aside = frozenset(far - set(self.problem.losses))
 
     @property
     def by_quantiles(self) -> bool:
         """True if costly units matter for quantiles alone, so that those near them are enough."""
         alone = all(row.share or row.nominal or row.exact for row in self.rows)
         return alone and not (self.problem.effort.tails or self.problem.losses)
-
-    def decisive(self, names: tuple[str, ...]) -> tuple[str, ...]:
-        """The responses without those of parts in which no limit decides."""
-        spared = {name for part in self.units.parts if set(part.names) <= self.aside for name in part.names}
-        return tuple(name for name in names if name not in spared)
 
     def limits(self, names: Collection[str] | None = None) -> list[Limited]:
         """Limits on shares, which decide what units are near.
@@ -275,9 +269,8 @@ class Constraints(WholeSample):
             weights: (n,) of the units; None: those of the sample.
         """
         rejects = float(self.rejects[k]) if rejects is None else float(rejects)
-        count = len(margins)
-        near = count // _QUARTER if self.problem.effort.tails else PULLED
-        weights = self.tails.weights[:count] if weights is None else weights
+        near = len(margins) // _QUARTER if self.problem.effort.tails else PULLED
+        weights = self.tails.weights[: len(margins)] if weights is None else weights
         return quantile(margins, weights, rejects, float(self.ways[k]), near)
 
     def margins(self, k: int, values: Values) -> tuple[np.ndarray, Values]:

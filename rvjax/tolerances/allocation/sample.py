@@ -52,6 +52,16 @@ class Units:
         self._latest = [*self._latest[1 - KEPT :], (population, z, least, found)]
         return found
 
+    def decisive(self, names: tuple[str, ...], aside: frozenset[str]) -> tuple[str, ...]:
+        """The responses but those of parts in which no limit decides.
+
+        Args:
+            names: of the responses.
+            aside: responses whose limits do not decide.
+        """
+        spared = {name for part in self.parts if set(part.names) <= aside for name in part.names}
+        return tuple(name for name in names if name not in spared)
+
     @staticmethod
     def failing_in_all(values: Values) -> Values:
         """The values, nan in every part where a unit failed in one."""
