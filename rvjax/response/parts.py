@@ -45,6 +45,8 @@ class Part:
 
     at_once = AT_ONCE
     """Units of a call that differ in one error."""
+    keeps = True
+    """Gradients take what solving has found of their units."""
 
     def __init__(self, response: Response, population: Population) -> None:
         self.response, self.names = response, response_names(response, population)
@@ -119,18 +121,24 @@ class Part:
 class Whole(Part):
     """A response that is not costly: gradients of its units need nothing but their errors."""
 
+    keeps = False
+
     def __init__(self, response: Response, population: Population, chunk: int) -> None:
         super().__init__(response, population)
         self.at_once = chunk
 
-    def solution(self, population: Population, z: np.ndarray) -> Solution:
+    def solve(self, population: Population, z: np.ndarray) -> Solution:
         """Values (k, n) and status (n,); the state has no rows."""
-        found = []
+        found, dtype = [], jnp.result_type(float)
         for lanes in calls(z.shape[1], self.at_once):
-            own, codes = respond(self.response, population, z[:, lanes])
+            own, codes = respond(self.response, population, np.asarray(z[:, lanes], dtype))
             found.append((np.stack([np.asarray(own[name], float) for name in self.names]), np.asarray(codes)))
         values, status = (np.concatenate(rows, axis=-1)[..., : z.shape[1]] for rows in zip(*found))
         return values, status, np.zeros((0, z.shape[1]))
+
+    def solution(self, population: Population, z: np.ndarray) -> Solution:
+        """Values (k, n) and status (n,); the state has no rows."""
+        return self.solve(population, z)
 
     def nominal_status(self, population: Population) -> int:
         """Status of the unit without errors, by the program of the gradients."""

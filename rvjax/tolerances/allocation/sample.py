@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.sizes import PULLED, calls, padded
+from rvjax._jax.sizes import PULLED, padded
 from rvjax.population import Population
-from rvjax.response import BLOCK, Part, Response, elements, elements_and_rates, gradients, is_costly, parts, respond
+from rvjax.response import Part, Response, elements, elements_and_rates, parts
 from rvjax.status import succeeded
 from rvjax.tolerances.allocation.decisions import KEPT, Decisions
 from rvjax.tolerances.batch.checkpoint import Memo, describe
@@ -26,7 +26,6 @@ class Units:
         self.parts = [p for p in parts(response, decisions.base) if wanted & set(p.names)] if wanted else []
         self.solved = self._parted = 0
         self._decisions, self._memo = decisions, memo
-        self._costly = is_costly(response)
         self._latest: list[tuple[Population, np.ndarray, frozenset[str], Values]] = []
         self._states: list[tuple[Part, Population, dict[bytes, int], np.ndarray]] = []
 
@@ -84,16 +83,10 @@ class Units:
         self._parted %= len(self.parts)
 
         def compute() -> np.ndarray:
-            if self._costly:
-                values, status, state = part.solve(population, z)
+            values, status, state = part.solve(population, z)
+            if part.keeps:
                 place = {column.tobytes(): k for k, column in enumerate(z.T)}
                 self._states = [*self._states[1 - KEPT * len(self.parts) :], (part, population, place, state)]
-            else:
-                blocks = [np.asarray(z[:, units], jnp.result_type(float)) for units in calls(z.shape[1], BLOCK)]
-                found = [respond(part.response, population, block) for block in blocks]
-                rows = [np.stack([np.asarray(values[name], float) for name in part.names]) for values, _ in found]
-                values = np.concatenate(rows, axis=1)[:, : z.shape[1]]
-                status = np.concatenate([np.asarray(flags) for _, flags in found])[: z.shape[1]]
             return np.where(succeeded(np.asarray(status)), values, np.nan)
 
         if self._memo is None:
@@ -135,8 +128,8 @@ class Units:
         self, part: Part, population: Population, z: np.ndarray, errors: np.ndarray, weights: np.ndarray
     ) -> np.ndarray:
         """Gradients (elements and numbers, n) of a part; units whose state is known are not solved again."""
-        if not self._costly:
-            return gradients(part.response, population, errors, weights, part.names)[1]
+        if not part.keeps:
+            return part.slopes_of_elements(population, errors, np.zeros((0, errors.shape[1])), weights)
         known = [(place, state) for own, there, place, state in self._states if own is part and there is population]
         keys = [column.tobytes() for column in z.T]
         found = {key: state[:, place[key]] for key in keys for place, state in known if key in place}
