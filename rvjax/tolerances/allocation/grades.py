@@ -22,6 +22,7 @@ from rvjax.tolerances.allocation.search import Search
 from rvjax.tolerances.batch.statistics import Statistics
 
 _FINE = 48  # half-widths of a field without grades, in its range
+_FINER = 5  # times the gain that ends a search: for the best set
 _SETS = 12  # sets that are looked at before each certificate, at most
 
 Places = dict[int, int]
@@ -90,14 +91,26 @@ class Grades:
             key = tuple(places.values())
             tried.add(key)
             if key not in self._known:
-                self._known[key] = self._fitted(places, near)
+                self._known[key] = self._fitted(places, near, COARSE)
             near = self._known[key]
             if near.excess <= MET / 4 and near.total < bound:
                 best = places, near
-        return best or (None, near)
+        if best is None:
+            return None, near
+        places, near = best
+        if len(places) == len(self._decisions.fields):
+            return best
+        finer = self._fitted(places, near, _FINER * self._search.problem.effort.gain)
+        return places, finer if finer.excess <= MET / 4 and finer.total < near.total else near
 
-    def _fitted(self, places: Places, near: Look) -> Look:
-        """Look at a set of grades, with the other half-widths fitted to it."""
+    def _fitted(self, places: Places, near: Look, gain: float) -> Look:
+        """Look at a set of grades, with the other half-widths fitted to it.
+
+        Args:
+            places: of the graded fields.
+            near: a look to begin with.
+            gain: promised gain that ends the search, as a part of the cost.
+        """
         search, programme = self._search, self._search.programme
         x = self._at(places, near.x)
         free = programme.low, programme.high
@@ -107,7 +120,7 @@ class Grades:
         held[count:] = True
         programme.low, programme.high = np.where(held, x, free[0]), np.where(held, x, free[1])
         look = (
-            programme.run(x, AGAIN, most=search.problem.max_steps, gain=COARSE).look
+            programme.run(x, AGAIN, most=search.problem.max_steps, gain=gain).look
             if not held.all()
             else search._noted(x)
         )
