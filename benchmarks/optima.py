@@ -92,7 +92,8 @@ def fresh(response: Response, requirements: Any, found: Allocation) -> dict[str,
     population = Population.of(found.tolerances).replace(values=found.values or None)
     limits = {name: item for name, item in requirements.items() if item.of_shares}
     run = Run(response, population, response_names(response, population), limits, FRESH, FRESH_SEED, BLOCK, keep=False)
-    return {name: (share.value, share.upper, limits[name].target) for name, share in run.statistics().yield_.items()}
+    shares = run.statistics().yield_
+    return {name: (shares[name].value, shares[name].upper, item.target) for name, item in limits.items()}
 
 
 def figures(problem: Problem, found: Allocation, optimum: float, exact: dict[str, float]) -> Row:
