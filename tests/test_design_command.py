@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 import tomllib
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,7 +16,6 @@ from rvjax import cli, study
 from rvjax.commands.allocate import answer
 from rvjax.commands.design.optimum import geometry_first
 from rvjax.tolerances import Memo, Nominal, Variable, allocate
-from rvjax.tolerances.allocation import sample
 from rvjax.units import mm, um
 
 SMALL = """
@@ -244,7 +244,8 @@ def test_a_killed_command_continues_from_its_journal(designed, tmp_path, monkeyp
     study_file, out, journal = designed[1].with_name("small.toml"), tmp_path / "out", tmp_path / "out.part"
     call = ["design", str(study_file), "--alone", "--results", str(out), "--quiet"]
     monkeypatch.setattr(answer, "memo", lambda study, place: Memo(place.with_name("out.part"), {}, worth=0.0))
-    plain, asked = sample.gradients, []
+    parts, asked = sys.modules["rvjax.response.parts"], []
+    plain = parts.gradients
 
     def killed(response, population, errors, cotangents, names):
         asked.append((errors.tobytes(), cotangents.tobytes(), repr(population.values)))
@@ -252,7 +253,7 @@ def test_a_killed_command_continues_from_its_journal(designed, tmp_path, monkeyp
             raise KeyboardInterrupt
         return plain(response, population, errors, cotangents, names)
 
-    monkeypatch.setattr(sample, "gradients", killed)
+    monkeypatch.setattr(parts, "gradients", killed)
     with one_start():
         assert cli.main(call) == 130 and not out.exists() and len(list(journal.iterdir())) > 9
         assert cli.main(call) == 0 and not journal.exists()

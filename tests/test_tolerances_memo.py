@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from rvjax.tolerances import Requirement, allocate
-from rvjax.tolerances.allocation import sample
 from rvjax.tolerances.batch.checkpoint import Memo
 from tests.oracles.linear_pair import COSTS, LIMIT, PAIR, linear
 
@@ -31,8 +30,8 @@ def counted(monkeypatch):
 
         return counting
 
-    for module in (sample, sys.modules["rvjax.response.parts"]):
-        monkeypatch.setattr(module, "respond", count(module.respond))
+    parts = sys.modules["rvjax.response.parts"]
+    monkeypatch.setattr(parts, "respond", count(parts.respond))
     return counted
 
 
