@@ -180,6 +180,7 @@ def allocated(need, seed=0):
         before = solved.copy()
         found = test(self, *given)
         tests.update(solved - before)
+        assert len(next(iter(found.values.values()))) == self.run.samples == len(self._near.z.T)
         return found
 
     with mock.patch.object(Part, "solve", counted), mock.patch.object(Certifier, "test", tested):

@@ -136,9 +136,7 @@ class Whole(Part):
         values, status = (np.concatenate(rows, axis=-1)[..., : z.shape[1]] for rows in zip(*found))
         return values, status, np.zeros((0, z.shape[1]))
 
-    def solution(self, population: Population, z: np.ndarray) -> Solution:
-        """Values (k, n) and status (n,); the state has no rows."""
-        return self.solve(population, z)
+    solution = solve
 
     def nominal_status(self, population: Population) -> int:
         """Status of the unit without errors, by the program of the gradients."""

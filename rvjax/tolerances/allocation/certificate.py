@@ -43,7 +43,7 @@ class Certifier:
         """Units solved so far."""
         self._near: NearUnits | None = None
         self._names = problem.run.names
-        """Responses that certificates solve: those that decide, once one has shown the others."""
+        """Responses that certificates solve: those of parts in which a limit decides, then all."""
         self._whole: Statistics | None = None
         """The latest certificate of all units and responses."""
 

@@ -58,7 +58,8 @@ class Allocation:
         ranges: {variable: (least, largest) value with which, all else chosen anew, the cost stays within 0.5 %};
             of costly units a number for which no units were left is not in it.
         margins: {requirement: distance beyond the limit of what it judges at the end of the search, <= 0 within it}
-            of a programme on all decisions, with the corrections of its certificate.
+            of a programme on all decisions, with the corrections of its certificate. Of costly units only about right
+            where the limit does not decide.
         margin_slopes: {requirement: {field or variable: derivative of this margin to a half-width or number}}.
         losses: {response: `Estimate` of its mean loss, of the certificate's units that do not fail}.
         objective: `Estimate` of the cost with these losses; what the search minimises.

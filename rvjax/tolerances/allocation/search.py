@@ -192,7 +192,7 @@ class Search:
         held, seen = certifier.holds(seen), certifier.whole(seen, constraints, end.look.x)
         if held and not certifier.holds(seen) and certifier.drawn <= _WHOLE:  # limits or units that tests left out
             constraints.spare(None)
-            return self.certified(end)
+            return self.certified(self.run(end.look.x))
         return self._result(end, seen, learned), end
 
     def _gain(self, end: End, rejects: np.ndarray, moved: np.ndarray) -> float:
@@ -207,9 +207,9 @@ class Search:
         return float(end.prices @ away)
 
     def _enough(self, end: End) -> End:
-        """The end with more certificate units, where these save more than they cost."""
+        """The end with more certificate units, where these save more than they cost and none was drawn."""
         certifier, constraints, given = self.certifier, self.constraints, self.problem.run.samples
-        while certifier.run.keep and 2 * certifier.run.samples <= _TIMES * given:
+        while not certifier.drawn and certifier.run.keep and 2 * certifier.run.samples <= _TIMES * given:
             run, certifier.run = certifier.run, dataclasses.replace(certifier.run, samples=2 * certifier.run.samples)
             more = certifier.all_wanted(constraints)
             if self._gain(end, more, constraints.moved) < _MORE * abs(end.look.total):
