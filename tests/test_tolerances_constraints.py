@@ -6,6 +6,7 @@ differences are the derivatives to a few percent of the largest.
 """
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,10 +25,12 @@ from rvjax.tolerances import (
     Variable,
     WorstCaseWithin,
 )
+from rvjax.tolerances.allocation.certificate import rejects_at_limits
 from rvjax.tolerances.allocation.constraints import Constraints
 from rvjax.tolerances.allocation.problem import FEW, problem_of
 from rvjax.tolerances.allocation.rays import Rays
 from rvjax.tolerances.allocation.result import _without_groups
+from rvjax.tolerances.allocation.sample import Units
 from tests.oracles.responses import Made
 
 PARTS = {name: Tolerance.symmetric(0.3) for name in "abc"}
@@ -213,6 +216,13 @@ def test_a_part_that_does_not_decide_has_few_units():
     joint = constraints(FAR, response=Two("both"), samples=2048, joint_target=0.99)
     joint.spare(joint.look(X))
     assert joint.aside == set()  # each unit counts as a whole
+    beyond = float((joint.values(X)["y"] > 0.4).mean())
+    assert beyond > 0 and rejects_at_limits(joint, joint.look(X))[-1] == pytest.approx(beyond, rel=0.1)
+
+
+def test_a_part_with_one_limit_that_decides_is_decisive():
+    parts = SimpleNamespace(parts=[SimpleNamespace(names=("y", "v")), SimpleNamespace(names=("w",))])
+    assert Units.decisive(parts, ("y", "v", "w"), frozenset("vw")) == ("y", "v")
 
 
 def test_derivatives_of_a_part_that_does_not_decide_are_taken_where_it_begins_to():

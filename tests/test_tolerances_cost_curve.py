@@ -5,6 +5,7 @@ Oracles: the closed form of a linear response with costs 1/t (sqrt(sum a_j^2 t_j
 targets to 1 %. Prices are judged to 4 %.
 """
 
+import dataclasses
 import math
 
 import jax.numpy as jnp
@@ -29,6 +30,7 @@ from rvjax.tolerances import (
 from rvjax.tolerances.allocation import cost as costs_module
 from rvjax.tolerances.allocation.grades import Grades
 from rvjax.tolerances.allocation.problem import problem_of
+from rvjax.tolerances.allocation.programme import COARSE
 from rvjax.tolerances.allocation.search import Search
 from rvjax.units import mm, um
 from tests.oracles.linear_pair import COSTS, LIMIT, PAIR, WIDE, above, closed_cost, linear, radius, share, two
@@ -222,7 +224,7 @@ def test_free_fields_take_up_what_the_grades_leave():
     assert graded.cost == pytest.approx(min(total), rel=1e-6)
 
 
-def test_a_free_field_of_little_cost_is_fitted_to_the_grades_too():
+def test_a_free_field_of_little_cost_is_fitted_to_the_grades_too(monkeypatch):
     """Its half-width begins at a third of the best one, which costs 0.4 % more; graded half-widths stay."""
     response = Largest({"y": ({"a": 1.0, "b": 2.0},), "c": ({"c": 1.0}, {"c": -1.0})})
     costs = COSTS | {"c": WIDE.replace(reference=0.1 * um)}
@@ -238,6 +240,14 @@ def test_a_free_field_of_little_cost_is_fitted_to_the_grades_too():
     assert near.used[1] < 0.5
     places, look = Grades(search)._cheapest(near)
     assert list(places) == [0] and look.used == pytest.approx(1.0, abs=2e-3)
+    fitted = Grades._fitted
+
+    def missing(self, places, near, gain):
+        look = fitted(self, places, near, gain)
+        return look if gain == COARSE else dataclasses.replace(look, used=look.used + 0.01)
+
+    monkeypatch.setattr(Grades, "_fitted", missing)
+    assert Grades(search)._cheapest(near)[1].excess < 1e-3  # the rough set is kept where the accurate one misses
 
 
 def test_the_learned_cost_is_that_of_an_accepted_set():

@@ -67,6 +67,11 @@ def test_units_that_all_move_inside_are_solved():
         made._near = None
         made.look(out)
         assert made.look(x, sloped=False).used == pytest.approx(of_all(oracle, x).used, rel=1e-12)
+    made._near = None
+    made.look(out)
+    far = X - 2 * (out - X)  # the limit decides no more
+    assert made.look(far, sloped=False).used == pytest.approx(of_all(oracle, far).used, rel=0.03)
+    assert of_all(oracle, far).used < 0.5
 
 
 def test_a_limit_that_does_not_decide_needs_the_units_behind_its_slope_alone():

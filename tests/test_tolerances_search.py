@@ -62,6 +62,19 @@ def test_certificates_are_of_one_sample_that_no_search_has_seen(monkeypatch):
     assert len(seeds) > 1 and len(set(seeds)) == 1 and seeds[0][0] == found.certificate.seed == 6
 
 
+@pytest.mark.parametrize(("drawn", "times"), [(0, 4), (1, 1)])
+def test_certificate_units_are_not_added_once_a_certificate_was_drawn(drawn, times, monkeypatch):
+    made, full = [], search.Search.certified
+    monkeypatch.setattr(search.Search, "certified", lambda self, end: made.append((self, end)) or full(self, end))
+    found = solved(certificate_samples=4096)
+    own, end = made[0]
+    own.certifier.drawn, before = drawn, own.problem.run.samples
+    own.certifier.run = own.problem.run
+    monkeypatch.setattr(search.Search, "_gain", lambda *given: 1e9)
+    own._enough(end)
+    assert found.status == "OPTIMAL" and own.certifier.run.samples == times * before
+
+
 def test_after_a_miss_the_wanted_rejects_are_those_of_the_result(monkeypatch):
     """Grades and prices go on from them; a looser vector is tried, and misses."""
     seen, ends, test, certified = [], [], Certifier.test, search.Search.certified

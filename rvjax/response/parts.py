@@ -129,9 +129,9 @@ class Whole(Part):
 
     def solve(self, population: Population, z: np.ndarray) -> Solution:
         """Values (k, n) and status (n,); the state has no rows."""
-        found, dtype = [], jnp.result_type(float)
+        found = []
         for lanes in calls(z.shape[1], self.at_once):
-            own, codes = respond(self.response, population, np.asarray(z[:, lanes], dtype))
+            own, codes = respond(self.response, population, z[:, lanes])
             found.append((np.stack([np.asarray(own[name], float) for name in self.names]), np.asarray(codes)))
         values, status = (np.concatenate(rows, axis=-1)[..., : z.shape[1]] for rows in zip(*found))
         return values, status, np.zeros((0, z.shape[1]))
