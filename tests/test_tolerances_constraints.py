@@ -5,6 +5,7 @@ that of the normal law up to the noise of its units; over a step in which hundre
 differences are the derivatives to a few percent of the largest.
 """
 
+import dataclasses
 import math
 from types import SimpleNamespace
 
@@ -29,7 +30,7 @@ from rvjax.tolerances.allocation.certificate import rejects_at_limits
 from rvjax.tolerances.allocation.constraints import Constraints
 from rvjax.tolerances.allocation.problem import FEW, problem_of
 from rvjax.tolerances.allocation.rays import Rays
-from rvjax.tolerances.allocation.result import _without_groups
+from rvjax.tolerances.allocation.result import _without_groups, margins_of
 from rvjax.tolerances.allocation.sample import Units
 from tests.oracles.responses import Made
 
@@ -218,6 +219,18 @@ def test_a_part_that_does_not_decide_has_few_units():
     assert joint.aside == set()  # each unit counts as a whole
     beyond = float((joint.values(X)["y"] > 0.4).mean())
     assert beyond > 0 and rejects_at_limits(joint, joint.look(X))[-1] == pytest.approx(beyond, rel=0.1)
+
+
+def test_the_margin_of_a_limit_that_does_not_decide_is_that_of_the_certificate():
+    """A look knows only that it does not decide, because it solves units near the limit alone."""
+    made = constraints(FAR, response=Two("both"), samples=4096)
+    look = made.look(X)
+    due, false = margins_of(made, look, SimpleNamespace(values=None))[0], look.used.copy()
+    false[1] = 0.8
+    assert due["w"] == pytest.approx(due["y"] + 0.4 - 2.0)
+    seen = SimpleNamespace(values=made.values(X))
+    found, _ = margins_of(made, dataclasses.replace(look, used=false), seen)
+    assert found == pytest.approx(due, rel=1e-9) and look.used[0] > 0.85
 
 
 def test_a_part_with_one_limit_that_decides_is_decisive():

@@ -18,7 +18,7 @@ from rvjax.base import frames
 from rvjax.population import Estimate, Population
 from rvjax.tolerances.allocation.constraints import Constraints
 from rvjax.tolerances.allocation.decisions import AT, Decisions
-from rvjax.tolerances.allocation.look import Look
+from rvjax.tolerances.allocation.look import DECIDES, Look
 from rvjax.tolerances.allocation.programme import AGAIN, MET, End, Programme
 from rvjax.tolerances.batch.statistics import Statistics
 
@@ -58,8 +58,8 @@ class Allocation:
         ranges: {variable: (least, largest) value with which, all else chosen anew, the cost stays within 0.5 %};
             of costly units a number for which no units were left is not in it.
         margins: {requirement: distance beyond the limit of what it judges at the end of the search, <= 0 within it}
-            of a programme on all decisions, with the corrections of its certificate. Of costly units only about right
-            where the limit does not decide.
+            of a programme on all decisions, with the corrections of its certificate; of a costly limit that does
+            not decide, of the certificate's units.
         margin_slopes: {requirement: {field or variable: derivative of this margin to a half-width or number}}.
         losses: {response: `Estimate` of its mean loss, of the certificate's units that do not fail}.
         objective: `Estimate` of the cost with these losses; what the search minimises.
@@ -205,18 +205,25 @@ def _without_groups(constraints: Constraints, look: Look) -> Iterator[tuple[np.n
         yield used, jacobian
 
 
-def margins_of(constraints: Constraints, look: Look) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
+def margins_of(
+    constraints: Constraints, look: Look, seen: Statistics
+) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
     """Margins of the requirements at the end of a search, of two sides the larger, and their derivatives.
 
     Args:
         constraints: of the search.
         look: at the end, with all derivatives.
+        seen: the certificate, which has all costly units of limits that do not decide.
     """
+    units = dict(seen.values or {}) if constraints.by_quantiles else {}
     decisions, x = constraints.decisions, look.x
     values, slopes = dict[str, float](), dict[str, dict[str, float]]()
     first, widths = len(decisions.fields) + len(decisions.moves), decisions.half_widths(x)
     for k, row in enumerate(constraints.rows):
         value, rates = (look.used[k] - 1) * constraints.ways[k], look.jacobian[k] * constraints.ways[k]
+        if row.share and row.name in units and look.used[k] <= DECIDES:
+            own = constraints.margins(k, units)[0]
+            value = constraints.quantile(k, own, weights=np.ones(len(own))).level
         if row.item is None or not math.isfinite(value) or value <= values.get(row.name, -math.inf):
             continue
         values[row.name] = float(value)

@@ -207,7 +207,7 @@ class Search:
         return float(end.prices @ away)
 
     def _enough(self, end: End) -> End:
-        """The end with more certificate units, where these save more than they cost and none was drawn."""
+        """The end with more certificate units, where these save more than they cost; unchanged after a certificate."""
         certifier, constraints, given = self.certifier, self.constraints, self.problem.run.samples
         while not certifier.drawn and certifier.run.keep and 2 * certifier.run.samples <= _TIMES * given:
             run, certifier.run = certifier.run, dataclasses.replace(certifier.run, samples=2 * certifier.run.samples)
@@ -244,7 +244,7 @@ class Search:
         """Result of an end that was certified."""
         found = self.allocation(end.look, seen, self.status(seen, end, learned, end.look), learned)
         every = self.constraints.look(end.look.x, every=True) if self.constraints.aside else end.look
-        reached, slopes = margins_of(self.constraints, every)
+        reached, slopes = margins_of(self.constraints, every, seen)
         ways = self.constraints.ways if self.rays is None else self.rays.ways(end.look.x)
         prices = prices_of(self.constraints, end, end.prices, ways)
         confidence = self.certifier.run.confidence
