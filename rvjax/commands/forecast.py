@@ -71,7 +71,7 @@ PASSES = {True: 110, False: 60}  # of a search and its cost curve over its sampl
 CERTIFICATES = {True: 5, False: 4}
 PASSES_A_POINT = 6  # of the cost curve
 # The same of costly units, of an RV-20E with a moving mid-point and of rv-40e-whole; points of the curve have few.
-COSTLY_PASSES, COSTLY_CERTIFICATES, COSTLY_POINT = {True: 7, False: 4}, 3, 6000
+COSTLY_PASSES, COSTLY_CERTIFICATES, COSTLY_POINT = {True: 7, False: 3}, 3, 6000
 COMPILING = {True: "30 s for a loaded RV-40E, 60 s", False: "20 s for an RV-40E, 45 s"}
 
 
