@@ -177,8 +177,8 @@ def forgotten():
 # Dearest first, so that the end is many small files and no worker waits for the other.
 FAMILIES = (
     *("loaded", "tolerances", "running", "dynamics", "code", "four_bar", "identify", "life", "cli", "mesh_force"),
-    *("cycloidal", "extremes", "lost_motion", "design", "assembly", "compiled_once", "derivatives", "report", "models"),
-    *("published", "docs", "plotting"),
+    *("cycloidal", "shard_map", "extremes", "lost_motion", "design", "assembly", "compiled_once", "derivatives"),
+    *("report", "models", "published", "docs", "plotting"),
 )
 
 

@@ -41,7 +41,10 @@ def with_slopes(call):
     return jax.value_and_grad(total, has_aux=True)
 
 
-@pytest.mark.parametrize("name", CALLS)
+LONG = ("life.rated_torque", "running.hysteresis")  # searches over what `life.rating` and `running.losses` trace
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n in LONG)) for n in CALLS])
 def test_values_and_slopes_pass_the_checks(name, thorough):
     for call in CALLS[name] if thorough else CALLS[name][-1:]:
         assert all(leaf.shape[0] == len(XS) for leaf in jax.tree.leaves(jax.eval_shape(mapped(with_slopes(call)), XS)))

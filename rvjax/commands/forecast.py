@@ -4,9 +4,9 @@ import dataclasses
 import sys
 from typing import Any
 
-from rvjax import levels
+from rvjax import levels, study as studies
 from rvjax.base.progress import spelled
-from rvjax.commands import say
+from rvjax.commands import say, share_cores
 from rvjax.levels import Choice
 from rvjax.response import BLOCK
 from rvjax.study import Study
@@ -66,13 +66,25 @@ SHOWN_VALUES = KEPT  # units behind a histogram: those of the certificate where 
 FEWEST_BEYOND = 8  # units of the learning sample beyond a limit, below which a point of the cost curve is left out
 YIELD_SWEEP = (0.9, 0.95, 0.99, 0.995, 0.999)
 
-# Counted in results of rv-40e, with moving mid-points and half-widths rounded to grades, and of rv-40e-whole.
+# Counted in results of rv-40e, with moving mid-points and half-widths rounded to grades; of costly units in those of an
+# RV-20E with a moving mid-point and of rv-40e-whole.
 PASSES = {True: 110, False: 60}  # of a search and its cost curve over its sample, with and without moving mid-points
 CERTIFICATES = {True: 5, False: 4}
 PASSES_A_POINT = 6  # of the cost curve
-# The same of costly units, of an RV-20E with a moving mid-point and of rv-40e-whole; points of the curve have few.
 COSTLY_PASSES, COSTLY_CERTIFICATES, COSTLY_POINT = {True: 7, False: 3}, 3, 6000
-COMPILING = {True: "30 s for a loaded RV-40E, 60 s", False: "20 s for an RV-40E, 45 s"}
+COMPILING = "20 s for an RV-40E, 45 s", "30 s for a loaded RV-40E, 60 s"
+
+
+def read_study(source: str) -> Study:
+    """The study of a command, without solving a unit; each core becomes a device if its units are costly.
+
+    Args:
+        source: path, or name of an embedded study.
+    """
+    found = studies.load(source, solve=False)
+    if found.costly:
+        share_cores(1)
+    return found
 
 
 def solved_units(study: Study) -> dict[str, int]:

@@ -92,8 +92,6 @@ class Part:
             state: of these units, by `of_elements`.
             cotangents: weights (k, n) of the values.
         """
-        if not is_costly(self.response):
-            return gradients(self.response, population, errors, cotangents, self.names)[1]
         return pulls(self.response, population, errors, state, cotangents)
 
     def of_elements(self, population: Population, errors: np.ndarray) -> Solution:
@@ -137,6 +135,12 @@ class Whole(Part):
         return values, status, np.zeros((0, z.shape[1]))
 
     solution = solve
+
+    def slopes_of_elements(
+        self, population: Population, errors: np.ndarray, state: np.ndarray, cotangents: np.ndarray
+    ) -> np.ndarray:
+        """The same, which needs no state."""
+        return gradients(self.response, population, errors, cotangents, self.names)[1]
 
     def nominal_status(self, population: Population) -> int:
         """Status of the unit without errors, by the program of the gradients."""

@@ -10,14 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rvjax import study
 from rvjax.commands import (
     READING,
     WRITING,
     Inputs,
     quiet_option,
     results_option,
-    share_cores,
     study_argument,
     switch,
     tell,
@@ -43,7 +41,7 @@ from rvjax.commands.allocate.tables import (
 )
 from rvjax.commands.budget.effects import influence_tables
 from rvjax.commands.cells import assumed_text, failures_text, limit_text, searched_texts, share
-from rvjax.commands.forecast import expected, forewarn, phases_of, seconds_of_units
+from rvjax.commands.forecast import expected, forewarn, phases_of, read_study, seconds_of_units
 from rvjax.life import dynamic_rating
 from rvjax.outputs import Output
 from rvjax.population import Estimate, deviate_of
@@ -202,9 +200,7 @@ class AllocateInputs(Inputs):
 
     def __post_init__(self) -> None:
         """Read the study, and find the folder that holds its result."""
-        self.study = study.load(self.source, solve=False)
-        if self.study.costly:
-            share_cores(1)
+        self.study = read_study(self.source)
         stored = answer.folder(self.study, self.results)
         self.stored = None if self.fresh else stored
         if self.stored is not None:

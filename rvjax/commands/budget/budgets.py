@@ -272,7 +272,7 @@ def budget_if_any(study: Study, tolerances: object = None) -> Budget | None:
     """
     if curve_along(study, tuple(study.requirements)) is None or not torque_of(study.conditions):
         return None
-    found = linear_budget(study, study.tolerances if tolerances is None else tolerances) if study.costly else None
+    found = linear_budget(study, study.tolerances if tolerances is None else tolerances)
     return found or error_budget(study, tolerances=tolerances)
 
 

@@ -5,17 +5,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from rvjax import study
 from rvjax._jax.solved_state import moving
 from rvjax.base.files import versions
 from rvjax.catalogue import steep
-from rvjax.commands import READING, WRITING, Inputs, argument, option, quiet_option, results_option, share_cores, switch
+from rvjax.commands import READING, WRITING, Inputs, argument, option, quiet_option, results_option, switch
 from rvjax.commands.allocate import answer
 from rvjax.commands.cells import assumed_text, failures_text, limits_data
 from rvjax.commands.design.optimum import JOINT, STEPS, TRADE, UNSCALED, Designed, Point, optima
 from rvjax.commands.design.prices import block, price_note, script, slope, unit_of_number
 from rvjax.commands.design.tables import headline, laws_of, numbers, others, requirements_of, saved_part, tolerances_of
-from rvjax.commands.forecast import forewarn
+from rvjax.commands.forecast import forewarn, read_study
 from rvjax.population import sample
 from rvjax.render import Figure, Note, Report, Section, leading_comment, results_folder
 from rvjax.study import Study, StudyError, kind_of, number_at, outside, shown
@@ -57,15 +56,13 @@ class DesignInputs(Inputs):
 
     def __post_init__(self) -> None:
         """Read the study, which has variables; each is read by an output."""
-        self.study = study.load(self.source, solve=False)
+        self.study = read_study(self.source)
         if not self.study.variables:
             key = '[variable."cycloid.eccentricity"]'
             raise StudyError(f"{self.study.name}: [variable] is missing; add one, such as {key}")
         if self.front is not None and not 0 <= self.front <= MOST:
             raise ValueError(f"--front {self.front}: must lie between 0 and {MOST}")
         _refuse_unread(self.study)
-        if self.study.costly:
-            share_cores(1)
         usual = 0 if self.study.costly else FRONT
         self.points = 0 if self.alone or not self.study.objective else usual if self.front is None else self.front
         self.folder = results_folder(self.results, f"{self.study.name}-design")

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import rvjax
-from rvjax import study
 from rvjax.base import progress
 from rvjax.base.files import check_writable
 from rvjax.commands import (
@@ -15,7 +14,6 @@ from rvjax.commands import (
     Inputs,
     option,
     quiet_option,
-    share_cores,
     study_argument,
     switch,
     tell,
@@ -23,7 +21,7 @@ from rvjax.commands import (
 )
 from rvjax.commands.allocate import FILE, Answer, answer, headline, report_on, restored_from
 from rvjax.commands.budget import budget_if_any, section_on
-from rvjax.commands.forecast import expected, forewarn, phases_of, seconds_of_units
+from rvjax.commands.forecast import expected, forewarn, phases_of, read_study, seconds_of_units
 from rvjax.commands.report import response_surface
 from rvjax.commands.report.bearings import bearing_section, lives_if_any
 from rvjax.commands.report.friction import friction_section, losses_if_any
@@ -67,9 +65,7 @@ class ReportInputs(Inputs):
 
     def __post_init__(self) -> None:
         """Read the study, and find its stored result and the page that may show it."""
-        self.study = study.load(self.source, solve=False)
-        if self.study.costly:
-            share_cores(1)
+        self.study = read_study(self.source)
         self.stored: Path | None
         self.answer: Answer | None
         self.stored, self.answer = restored_from(self.study)

@@ -142,8 +142,7 @@ def surrogate(
     """
     study, side = answer.study, answer.after
     names, response = tuple(study.requirements), study.response()
-    costly = is_costly(response)
-    count = COSTLY_UNITS if costly else units
+    count, compared = (COSTLY_UNITS, "own") if is_costly(response) else (units, "fresh")
     parameters = tuple(_parameters(answer))
     full = np.stack([np.asarray(side.values[name], float) for name in names])
     valid = np.flatnonzero(np.isfinite(full).all(axis=0))
@@ -159,12 +158,12 @@ def surrogate(
     good = np.isfinite(np.stack([base[name] for name in names])).all(axis=0)
     certificate = answer.allocation.certificate
     failed = certificate.failed / certificate.samples
-    found = Surrogate(parameters, 1 / chance[chosen], base, columns, failed, compared="own" if costly else "fresh")
+    found = Surrogate(parameters, 1 / chance[chosen], base, columns, failed, compared=compared)
     found = found.of_units(np.flatnonzero(good))
     weights = _calibrated(found.weights, found.base, study.requirements, certificate, failed)
     found = dataclasses.replace(found, weights=weights)
     places = _points(found, study.seed, points)
-    if costly:
+    if compared == "own":
         checks = _own_checks(found, answer, solved, sample, np.flatnonzero(good), places)
     else:
         run = partial(monte_carlo, response, samples=fresh, chunk=chunk)
