@@ -152,7 +152,8 @@ def pytest_collection_finish(session):
 
 
 PEAKS: dict[str, float] = {}
-BOUND = 3.0  # GB that a worker holds, beyond which it forgets
+BOUND, GROWN = 3.0, 0.7  # GB that a worker holds, beyond which it forgets; by which it grows until it forgets again
+LEFT = [0.0]  # GB after that: what is free stays with the process, which uses it again
 
 
 def peak_memory():
@@ -170,8 +171,9 @@ def held_memory():
 def forgotten():
     """Beyond the bound, traces and programs of a module are dropped after it; the disk keeps the programs."""
     yield
-    if held_memory() > BOUND:  # of now: by its peak, a worker that was there once would forget after every module
+    if held_memory() > max(BOUND, LEFT[0] + GROWN):
         jax.clear_caches()
+        LEFT[0] = held_memory()
 
 
 # Dearest first, so that the end is many small files and no worker waits for the other.

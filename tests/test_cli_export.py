@@ -33,6 +33,8 @@ upper = "1 N m"
 lower = "1 N m/arcmin"
 """
 UNIT = '[errors]\npin_radius = "2 um"\nring_pin_friction = 0.4\nhole_position = {places}\n'
+RESULT = dict.fromkeys(["seed", "versions", "cost", "shares", "certificate"], 0) | {"status": "OPTIMAL"}
+RESULT |= {"tolerances": {"throw": {"after": {"lower": -1e-6, "upper": 5e-6}}}}
 INERTIAS = ["--input-inertia", "1e-5 kg m2", "--output-inertia", "2e-3 kg m2"]
 
 
@@ -46,16 +48,25 @@ def folder(tmp_path, monkeypatch):
     )
     (tmp_path / "other.toml").write_text('[design]\nbase = "corr"\n')
     (tmp_path / "empty.toml").write_text("")
+    (tmp_path / "alone.toml").write_text('[design]\nbase = "cycloidal-17"\n')
     (tmp_path / "wrong.toml").write_text('[errors]\nthrow = "2 N"\n')
     (tmp_path / "ragged.toml").write_text(UNIT.format(places='[["1 um"], ["1 um", "2 um"]]'))
     (tmp_path / "there.json").write_text("mine")
+    (tmp_path / "there.svg").write_text("mine")
+    for name, design in (("mine", "cycloidal-17"), ("other", "cycloidal-15")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "study.toml").write_text(STUDY.replace("cycloidal-17", design))
+        (tmp_path / name / "result.json").write_text(json.dumps(RESULT | {"study": name}))
     return tmp_path
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["drive.toml", "a.txt"], "a.txt: must end with one of .xml, .mo, .urdf, .json, or give --as"),
+        (
+            ["drive.toml", "a.txt"],
+            "must end with one of .xml, .mo, .urdf, .json, .dxf, .svg, .csv, or give --as",
+        ),
         (["drive.toml", "there.json"], "there.json: exists already; name a new file"),
         (["drive.toml", "no/a.json"], "no/a.json: there is no such folder"),
         (["bare.toml", "a.json"], "bare: design.friction is missing"),
@@ -73,6 +84,12 @@ def folder(tmp_path, monkeypatch):
         (["drive.toml", "a.json", "--unit", "empty.toml"], r"--unit empty.toml: [errors] is missing or empty"),
         (["drive.toml", "a.json", "--unit", "wrong.toml"], "errors.throw = '2 N': unit 'N'"),
         (["drive.toml", "a.json", "--unit", "ragged.toml"], "errors.hole_position: lists of different length"),
+        (["drive.toml", "there.svg"], "there.svg: exists already; name a new file"),
+        (["drive.toml", "a.svg", "--disc", "2"], "disc = 2: must lie between 0 and 1"),
+        (["drive.toml", "a.svg", "--chord", "0 um"], "--chord = '0 um': must be positive"),
+        (["drive.toml", "a.svg", "--result", "no"], "no: there is no results folder"),
+        (["drive.toml", "a.svg", "--result", "other"], "other: is the result of another design than drive"),
+        (["other.toml", "a.svg"], "geometry.outline: takes a design of kind"),
     ],
 )
 def test_bad_input_is_one_line_and_writes_nothing(folder, capsys, arguments, words):
@@ -149,7 +166,7 @@ def units(folder, monkeypatch):
         numbers = {name: np.where(each < failed, np.nan, each) for name in running.units(running.Joint)}
         numbers |= dict(damping=None, rotor_inertia=None, output_inertia=None)
         joint = jax.vmap(lambda numbers, info: running.Joint(**numbers, info=info))(numbers, info)
-        monkeypatch.setattr(export, "_of_units", lambda *_: joint)
+        monkeypatch.setattr(export.joint, "_of_units", lambda *_: joint)
         return cli.main(["export", "drive.toml", "a.json", "--unit", unit, "--samples", "100", "--quiet"])
 
     return SimpleNamespace(run=run, file=folder / "a.json")
@@ -173,3 +190,24 @@ def test_units_that_fail_count_as_unfavourable(units, capsys):
     assert units.run("p99", 10) == 2
     assert capsys.readouterr().err == "rvjax: error: drive: unit p99: 10 of 100 units cannot be solved\n"
     assert not units.file.exists()
+
+
+def test_outlines_need_no_friction_and_say_what_they_show(folder, capsys):
+    assert cli.main(["export", "alone.toml", "parts.svg", "--part", "all", "--quiet"]) == 0
+    said = capsys.readouterr().out
+    assert "Sizes of the design" in said and "carrier: bolts" in said and "parts.svg: disc 0, ring, carrier" in said
+    root = ElementTree.fromstring((folder / "parts.svg").read_text())
+    groups = [group.get("id") for group in root.iter("{http://www.w3.org/2000/svg}g") if group.get("id")]
+    assert groups == ["DISC_0_FLANK", "DISC_0_HOLE", "DISC_0_BORE", "RING_PIN", "RING_PIN_CIRCLE", "CARRIER_OUTPUT_PIN"]
+    assert cli.main(["export", "drive.toml", "a.csv", "--result", "mine", "--format", "json", "--quiet"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["sizes"] == "the mid-points of mine" and found["file"] == "a.csv"
+    assert (folder / "a.csv").read_text().startswith("# Outlines of drive (study ")
+
+
+def test_mid_points_are_sizes_of_the_parts():
+    """Those of a result: lower and upper limits, one number or one for each hole."""
+    tolerances = study.parse_study(STUDY, name="x", solve=False).tolerances
+    tolerances = tolerances.replace(throw=tolerances.throw.replace(lower=-1e-6, upper=5e-6))
+    found = export.outlines.mid_points(tolerances, rvjax.CycloidalErrors)
+    assert float(found.throw) == pytest.approx(2e-6) and float(found.hole_radius) == 0

@@ -187,6 +187,7 @@ CALLS = {  # name: one call of the function for each way that is decided before 
     "running.joint": [lambda x: running.joint(RATED, units(x), rubbing(x), rated_torque=100 * x, samples=2)],
     "running.fit_drag": [lambda x: running.fit_drag(np.array([1.0, 2.0, -1.0, -2.0]), x * np.array([1.0, 2, -1, -2]))],
     "geometry.figures": [lambda x: geometry.figures(MACHINE, 100 * x)],
+    "geometry.outline": [lambda x: geometry.outline(MACHINE, errors=units(x), points=4)],
     "roots.bracketed": [lambda x: roots.bracketed(residual, x, 0.0, 2.0)],
 }
 

@@ -1,0 +1,136 @@
+"""Joint model of a unit, of a measured one, or of a statistic of random ones."""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import rvjax
+from rvjax import running
+from rvjax._jax.programs import QUICK
+from rvjax.base import progress
+from rvjax.commands.export.inputs import STATISTICS, ExportInputs
+from rvjax.population import Population, drawn, root_key
+from rvjax.records import PyTree, Record, field, record, text
+from rvjax.render import Note, Report, Table, Text
+from rvjax.response import per_response
+from rvjax.running import FORMATS, Header, Joint
+from rvjax.status import MEANING, SUCCESS, Status
+from rvjax.study import StudyError, naming
+
+SOLVING = "joint model"
+LOW = ("stiffness", "mu_dif")
+"""Numbers of which the low values are unfavourable."""
+
+
+@record
+class _Joined(Record):
+    """The joint model of one unit."""
+
+    design: PyTree = field("-", "the reducer", kind="record")
+    ways: tuple[tuple[str, Any], ...] = text("arguments of the joint model")
+
+    def __call__(self, errors: PyTree) -> running.Joint:
+        return running.joint(errors.stiffened(self.design), errors, **dict(self.ways))
+
+
+@per_response(options=QUICK)
+def _of_unit(unit: _Joined, errors: object) -> running.Joint:
+    return unit(errors)
+
+
+@per_response(options=QUICK)
+def _of_units(unit: _Joined, population: Population, z: jax.Array) -> running.Joint:
+    """Joint models of the units with random numbers z (numbers, units)."""
+    return jax.vmap(lambda z: unit(population.errors(z)), in_axes=-1)(z)
+
+
+def compute(inputs: ExportInputs) -> tuple[running.Joint, Header]:
+    """The joint model, and its origin.
+
+    Raises:
+        StudyError: a unit that cannot be solved, in one line.
+    """
+    progress.begin(SOLVING)
+    study, given = inputs.study, inputs.study.conditions
+    ways = dict(
+        rated_torque=inputs.torque,
+        damping=inputs.damping,
+        input_angle=given.input_angle,
+        samples=given.running_samples,
+        contact=given.pin_contact,
+        carrier=given.carrier,
+        sun=getattr(given, "sun", "fixed"),
+    )
+    unit = _Joined(study.design, tuple(ways.items()))
+    with naming(study.name):
+        if inputs.errors is None:
+            found, said = _statistic(unit, inputs)
+        else:
+            found, said = _of_unit(unit, inputs.errors), inputs.unit
+            if (status := Status(int(found.info.status))) not in SUCCESS:
+                raise StudyError(f"unit {inputs.unit}: cannot be solved: {status.name} ({MEANING[status]})")
+    if inputs.input_inertia is not None:
+        found = found.replace(rotor_inertia=inputs.input_inertia * found.ratio**2)
+    if inputs.output_inertia is not None:
+        found = found.replace(output_inertia=inputs.output_inertia)
+    return found, Header(study.name, said, rvjax.__version__)
+
+
+def _statistic(unit: _Joined, inputs: ExportInputs) -> tuple[running.Joint, str]:
+    """Each number at its median or its unfavourable quantile; a unit that fails counts as unfavourable in each."""
+    study, count, share = inputs.study, inputs.units, STATISTICS[inputs.unit]
+    population = Population.of(study.tolerances)
+    z = drawn(population, root_key(study.seed), jnp.uint32(0), count=count)
+    found = jax.device_get(_of_units(unit, population, z))
+    good = np.isin(found.info.status, [int(status) for status in SUCCESS])
+    if np.ceil(share * (count - 1)) >= good.sum():
+        raise StudyError(f"unit {inputs.unit}: {count - good.sum()} of {count} units cannot be solved")
+
+    def quantile(name: str, values: np.ndarray) -> np.float64:
+        values = np.broadcast_to(np.asarray(values, float), count)
+        sign = -1 if name in LOW else 1
+        return np.float64(sign * np.quantile(np.where(good, sign * values, np.inf), share))
+
+    numbers = {name: getattr(found, name) for name in running.units(found)}
+    settled = {name: quantile(name, value) for name, value in numbers.items() if value is not None}
+    info = jax.tree.map(lambda x: x[0], found.info)
+    what = "median" if inputs.unit == "median" else "unfavourable 99 % quantile"
+    said = f"{inputs.unit}, no single unit: each number is the {what} of {count} random units, seed {study.seed}"
+    said += f"; {count - good.sum()} of them cannot be solved and count as unfavourable" if not good.all() else ""
+    return found.replace(info=info, **settled), said
+
+
+def report(inputs: ExportInputs, found: tuple[Joint, Header]) -> Report:
+    """The report on a joint model.
+
+    Args:
+        inputs: inputs of the command.
+        found: the joint model, and its origin.
+    """
+    joint, header = found
+    content = FORMATS[inputs.form].write(joint, header).encode()
+    fields = [f for f in dataclasses.fields(joint) if f.name != "info"]
+    numbers = {f.name: None if (value := getattr(joint, f.name)) is None else float(value) for f in fields}
+    rows = [
+        [
+            f.name.replace("_", " "),
+            None if (value := numbers[f.name]) is None else f"{value:.6g}",
+            unit,
+            f.metadata["meaning"],
+        ]
+        for f in fields
+        for unit in ("" if f.metadata["unit"] == "-" else f.metadata["unit"],)
+    ]
+    columns = [Text("number"), Text("value"), Text("unit"), Text("meaning", wraps=True)]
+    said = f"Joint model of {header.study}, unit: {header.unit}. All numbers refer to the output."
+    return Report(
+        title=f"Joint model of {header.study}",
+        content=(Note(said), Table("joint", columns, rows)),
+        data={"study": header.study, "unit": header.unit, "format": inputs.form} | numbers,
+        exports={inputs.file: content},
+        told={"file": str(inputs.file)},
+        closing=(f"{inputs.file}: {inputs.form}", *filter(None, [FORMATS[inputs.form].remark(joint)])),
+    )

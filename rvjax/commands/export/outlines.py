@@ -1,0 +1,99 @@
+"""Outlines of the parts of a study, at the sizes of its design or at the mid-points of a result."""
+
+import dataclasses
+import hashlib
+
+import jax
+import numpy as np
+
+import rvjax
+from rvjax.commands.compare.results import answered
+from rvjax.commands.export.inputs import ALL, ExportInputs
+from rvjax.geometry import DRAWINGS, PARTS, Outline, layer, outline
+from rvjax.records import PyTree
+from rvjax.render import Note, Report, Table, Text
+from rvjax.study import StudyError, naming
+from rvjax.units import mm, um
+
+
+def mid_points(tolerances: PyTree, record: type) -> PyTree:
+    """Errors of a unit at the mid-points of all tolerances.
+
+    Args:
+        tolerances: of a result.
+        record: class of the errors.
+    """
+    given = {f.name: getattr(tolerances, f.name) for f in dataclasses.fields(tolerances)}
+    return record(**{name: np.float64(one.middle) for name, one in given.items() if one is not None})
+
+
+def outlines(inputs: ExportInputs) -> dict[str, Outline]:
+    """Outlines by part.
+
+    Args:
+        inputs: of the command.
+
+    Raises:
+        StudyError: parts that do not exist or do not fit, in one line.
+    """
+    study, design, chord = inputs.study, inputs.study.design, inputs.chord or um
+    errors = None
+    if inputs.result is not None:
+        other, tolerances = answered(inputs.result)
+        leaves, own = jax.tree.leaves(design), jax.tree.leaves(other.design)
+        if (
+            type(other.design) is not type(design)
+            or len(own) != len(leaves)
+            or not all(map(np.array_equal, leaves, own))
+        ):
+            raise StudyError(f"--result {inputs.result}: is the result of another design than {study.name}")
+        errors = mid_points(tolerances, design.error_record)
+    wanted = PARTS if inputs.part == ALL else (inputs.part,)
+    with naming(study.name):
+        return {
+            f"disc {inputs.disc}" if part == "disc" else part: outline(
+                design, part=part, disc=inputs.disc, chord=chord, errors=errors
+            )
+            for part in wanted
+        }
+
+
+def report(inputs: ExportInputs, found: dict[str, Outline]) -> Report:
+    """The report on a drawing.
+
+    Args:
+        inputs: of the command.
+        found: outlines by part.
+    """
+    study = inputs.study
+    digest = hashlib.sha256(study.text.encode()).hexdigest()[:12]
+    sizes = "the design" if inputs.result is None else f"the mid-points of {inputs.result}"
+    missing = [f"{part}: {what}" for part, one in found.items() for what in one.unknown]
+    about = [
+        f"Outlines of {study.name} (study {digest}), rvjax {rvjax.__version__}; millimetres.",
+        f"Sizes of {sizes}; largest distance of flank and line {(inputs.chord or um) / um:.3g} um.",
+        *([f"Not in the design, and left out: {'; '.join(missing)}."] if missing else []),
+    ]
+    rows = list[list[object]]()
+    for part, one in found.items():
+        if len(one.flank):
+            radii = np.hypot(*np.asarray(one.flank).T) / mm
+            rows.append([layer(part), f"{len(radii)} points", f"{radii.min():.4f} to {radii.max():.4f}"])
+        for name in dict.fromkeys(layer(part, circle.name) for circle in one.circles):
+            own = [float(c.radius) / mm for c in one.circles if layer(part, c.name) == name]
+            spread = f"{min(own):.4f}" if max(own) - min(own) < 1e-9 else f"{min(own):.4f} to {max(own):.4f}"
+            rows.append([name, f"{len(own)} circles", spread])
+    columns = [Text("layer"), Text("content"), Text("radius (mm)")]
+    return Report(
+        title=f"Outlines of {study.name}",
+        content=(*map(Note, about), Table("outlines", columns, rows)),
+        data={
+            "study": study.name,
+            "sizes": sizes,
+            "layers": {str(row[0]): row[1:] for row in rows},
+            "missing": missing,
+        },
+        exports={inputs.file: DRAWINGS[inputs.file.suffix](found, about)},
+        told={"file": str(inputs.file)},
+        closing=(f"{inputs.file}: {', '.join(found)}",),
+    )

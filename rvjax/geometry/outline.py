@@ -1,0 +1,230 @@
+"""Outlines of discs, rings and carriers for CAD and wire EDM: flank as a closed line, holes, bores and pins as circles.
+
+Each part is seen along the axis, in its frame: origin on its axis, x axis as at input angle 0. The flank of a disc is
+the line at the distance rr + equidistant modification from the path of the pin centres (docs/models/loaded.md, Eq. 7;
+docs/models/single_stage.md, Eq. 3):
+
+    C(t) = (rp + shift) u(t) - e u(zp t)     F(t) = C(t) + (rr + equidistant - m(zc t)) n(t)
+
+u(t) is the direction of an angle, n the unit normal from the pin into the material, m the material of the profile
+modification. The first tooth space of disc 0 is at t = 0; the flank of disc k is turned by -k/nd of a tooth pitch
+against its holes.
+"""
+
+import functools
+import math
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rvjax.base.words import choose
+from rvjax.catalogue import undercut
+from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
+from rvjax.designs import CycloidStage, RollerBearing, RVReducer, expect
+from rvjax.errors import RVErrors
+from rvjax.flank import profile
+from rvjax.records import Array, Record, Scalar, concrete, field, promote, quantity, record, text
+from rvjax.units import um
+
+PARTS = ("disc", "ring", "carrier")
+_FIRST, _MOST = 64, 1 << 16  # points of a tooth: of the first look, and at most
+
+
+@record
+class Circle(Record):
+    """A circle of an outline."""
+
+    name: str = text("feature of the part")
+    x: Scalar = field("m", "centre")
+    y: Scalar = field("m", "centre")
+    radius: Scalar = field("m", "radius")
+
+
+@record
+class Outline(Record):
+    """Outline of a part in its frame."""
+
+    flank: Array = field(
+        "m", "points of the closed flank, counter-clockwise; none where the part has no flank", shape=("points", 2)
+    )
+    normal: Array = field("rad", "direction of the normal from the pin into the material", shape=("points",))
+    curvature: Array = field("1/m", "of the flank, > 0 convex", shape=("points",))
+    circles: tuple[Circle, ...] = field("-", "holes, bores and pins", kind="record")
+    unknown: tuple[str, ...] = text("features whose size the design does not have")
+
+
+def outline(
+    design: RVReducer | CycloidalReducer, *, part: str = "disc", disc: int = 0, chord: float = 1 * um,
+    errors: RVErrors | CycloidalErrors | None = None, points: int | None = None,
+) -> Outline:  # fmt: skip
+    """Outline of a disc, the ring or the carrier.
+
+    The flank has derivatives to all numbers of the design, at fixed places of its points.
+
+    Args:
+        design: cycloid stage; output pins or cranks; bearings.
+        part: "disc", "ring" or "carrier".
+        disc: number of the disc.
+        chord: largest distance between the flank and the line through its points, m.
+        errors: sizes of one unit, such as the mid-points of tolerances: modifications, eccentricity, radii and circles
+            of pins and holes are read; None: those of the design.
+        points: equally spaced on each tooth, in place of the chord: under `jit` and `vmap` their number is given.
+
+    Raises:
+        ValueError: a flank that crosses itself, holes that overlap, a number that is out of range, or another kind.
+    """
+    expect(design, "geometry.outline", *_CIRCLES)
+    choose("part", part, PARTS)
+    if not chord > 0:
+        raise ValueError(f"chord = {chord:g} m: must be positive")
+    cycloid = design.cycloid
+    if not 0 <= disc < cycloid.disc_count:
+        raise ValueError(f"disc = {disc}: must lie between 0 and {cycloid.disc_count - 1}")
+    given = design.error_record() if errors is None else errors
+    circles, unknown = _CIRCLES[type(design)](design, given, part, disc)
+    if part != "disc":
+        return Outline(jnp.zeros((0, 2)), jnp.zeros(0), jnp.zeros(0), tuple(circles), tuple(unknown))
+    ground = cycloid.replace(
+        shortening=None, eccentricity=cycloid.eccentricity + given.eccentricity,
+        equidistant_modification=cycloid.equidistant_modification + given.equidistant_modification,
+        shift_modification=cycloid.shift_modification + given.shift_modification,
+    )  # fmt: skip
+    plain = jax.lax.stop_gradient(ground)  # its numbers, under `grad` too
+    traced = not concrete(*jax.tree.leaves(plain))
+    if traced and points is None:
+        raise ValueError("geometry.outline: a design that jit or vmap traces needs `points`")
+    if not traced and (lines := undercut(design.replace(cycloid=plain))):
+        raise ValueError(lines[0])
+    pitch = 2 * np.pi / cycloid.disc_teeth
+    t = _places(plain, chord) if points is None else pitch / points * np.arange(points * cycloid.disc_teeth)
+    turned = -2 * np.pi * disc / (cycloid.disc_count * cycloid.disc_teeth)
+    line, normal, curvature = _along(ground, t, turned)
+    return Outline(line, normal, curvature, tuple(circles), tuple(unknown))
+
+
+def _flank_of(cycloid: CycloidStage, t: Array) -> Array:
+    """Points (2, n) of a flank."""
+    circle, e, pins = cycloid.pin_circle_radius + cycloid.shift_modification, cycloid.eccentricity, cycloid.pin_count
+    wave = pins * t
+    across = (
+        e * pins * jnp.cos(wave) - circle * jnp.cos(t),
+        e * pins * jnp.sin(wave) - circle * jnp.sin(t),
+    )  # into the disc
+    offset = cycloid.pin_radius + cycloid.equidistant_modification
+    if cycloid.profile_modification is not None:
+        lobe = cycloid.disc_teeth * t
+        offset -= profile(cycloid.profile_modification, jnp.cos(lobe), jnp.sin(lobe))[0]
+    part = offset / jnp.sqrt(across[0] ** 2 + across[1] ** 2)
+    x, y = circle * jnp.cos(t) - e * jnp.cos(wave), circle * jnp.sin(t) - e * jnp.sin(wave)
+    return jnp.stack([x + part * across[0], y + part * across[1]])
+
+
+@jax.jit
+def _along(cycloid: CycloidStage, t: Scalar, turned: Scalar) -> tuple[Array, Array, Array]:
+    """Points (n, 2) of a flank, direction of its normal to the left (n,) and curvature (n,), turned by an angle."""
+    cycloid, t, turned = promote(cycloid, t, turned)
+    ones = jnp.ones_like(t)
+
+    def rate(t: Array) -> tuple[Array, Array]:
+        return jax.jvp(functools.partial(_flank_of, cycloid), (t,), (ones,))
+
+    ((x, y), (dx, dy)), (_, (ddx, ddy)) = jax.jvp(rate, (t,), (ones,))
+    c, s = jnp.cos(turned), jnp.sin(turned)
+    points = jnp.stack([c * x - s * y, s * x + c * y], axis=1)
+    return points, jnp.arctan2(dx, -dy) + turned, (dx * ddy - dy * ddx) / (dx * dx + dy * dy) ** 1.5
+
+
+def _places(cycloid: CycloidStage, chord: float) -> np.ndarray:
+    """Parameters (n,) of points of all teeth: halved intervals, each short enough for its largest curvature.
+
+    An arc of length s whose curvature is at most k leaves its chord by at most k s^2/8.
+    """
+    teeth, count = cycloid.disc_teeth, _FIRST
+    pitch = 2 * np.pi / teeth
+    while True:
+        t = pitch / count * np.arange(count + 1)
+        points, _, bend = (np.asarray(values) for values in _along(cycloid, t, 0.0))
+        bend, length = np.abs(bend), np.hypot(*np.diff(points, axis=0).T) * (1 + 1e-3)
+        sagitta = np.maximum(bend[1:], bend[:-1]) * length**2 / 8
+        needed = 2 ** math.ceil(math.log2(max(4 * count * math.sqrt(sagitta.max() / chord), 1)))
+        if needed <= count:
+            break
+        if needed > _MOST:
+            raise ValueError(f"chord = {chord:g} m: too small, a tooth would have {needed:,} points")
+        count = needed
+    kept, step = np.ones(count, bool), 1  # beginnings of intervals
+    while step < count // 4:  # neighbours become one interval where its arc is flat enough
+        starts = np.arange(0, count, 2 * step)
+        ends = starts + 2 * step
+        bends = np.array([bend[a : b + 1].max() for a, b in zip(starts, ends)])
+        lengths = np.array([length[a:b].sum() for a, b in zip(starts, ends)])
+        whole = np.array([kept[a:b].sum() == 2 for a, b in zip(starts, ends)])
+        joined = whole & (bends * lengths**2 / 8 <= chord)
+        kept[starts[joined] + step] = False
+        if not joined.any():
+            break
+        step *= 2
+    one = t[:-1][kept]
+    return (one + pitch * np.arange(teeth)[:, None]).ravel()
+
+
+# The circles of a part, and features whose size the design does not have.
+
+Circles = tuple[list[Circle], list[str]]
+
+
+def _around(name: str, radius: Scalar, count: int, size: Scalar, first: float = 0.0) -> list[Circle]:
+    """Circles on a circle of a radius; `size` is one radius, or one for each."""
+    angles = first + 2 * np.pi * np.arange(count) / count
+    each = [size] * count if np.ndim(size) == 0 else list(jnp.asarray(size))
+    return [
+        Circle(f"{name} {k}", radius * math.cos(angle), radius * math.sin(angle), own)
+        for k, (angle, own) in enumerate(zip(angles, each))
+    ]
+
+
+def _ring(cycloid: CycloidStage, errors: RVErrors | CycloidalErrors) -> Circles:
+    circle, pin = cycloid.pin_circle_radius + errors.pin_circle_radius, cycloid.pin_radius + errors.pin_radius
+    pins = _around("pin", circle, cycloid.pin_count, pin + errors.pin_radii)
+    return [*pins, Circle("pin circle", 0.0, 0.0, circle)], ["outside of the ring", "seats of the pins"]
+
+
+def _of_drive(design: CycloidalReducer, errors: CycloidalErrors, part: str, disc: int) -> Circles:
+    cycloid, output = design.cycloid, design.output
+    if part == "ring":
+        return _ring(cycloid, errors)
+    if part == "carrier":
+        pin = output.pin_radius + errors.output_pin_radius
+        return _around("output pin", output.circle_radius, output.count, pin), ["plate of the carrier", "bolts"]
+    hole = output.pin_radius + cycloid.eccentricity + output.hole_clearance / 2
+    half = output.circle_radius * math.sin(math.pi / output.count)
+    if concrete(hole, half) and hole >= half:
+        size, most = quantity(hole, "m"), quantity(half, "m")
+        raise ValueError(f"OutputPins.pin_radius: holes of radius {size} overlap from {most} on")
+    larger = jnp.asarray(errors.hole_radius)
+    own = larger if larger.ndim == 0 else larger[disc]
+    holes = _around("hole", output.circle_radius, output.count, hole + own)
+    if design.bearings is None:
+        return holes, ["bore of the eccentric bearing"]
+    return [*holes, Circle("bore", 0.0, 0.0, _outside(design.bearings.arm))], []
+
+
+def _of_rv(design: RVReducer, errors: RVErrors, part: str, disc: int) -> Circles:
+    cranks, bearings = design.cranks, design.bearings
+    if part == "ring":
+        return _ring(design.cycloid, errors)
+    bearing = None if bearings is None else bearings.arm if part == "disc" else bearings.support
+    missing = ["middle bore"] if part == "disc" else ["outside of the carrier", "bolts"]
+    if bearing is None:
+        return [], ["bores of the cranks", *missing]
+    return _around("bore of crank", cranks.circle_radius, cranks.count, _outside(bearing), np.pi), missing
+
+
+def _outside(bearing: RollerBearing) -> Scalar:
+    """Radius outside the rollers of a bearing without an outer ring, m."""
+    return jnp.asarray(bearing.pitch_diameter + bearing.roller_diameter) / 2
+
+
+_CIRCLES: dict[type, Callable[..., Circles]] = {RVReducer: _of_rv, CycloidalReducer: _of_drive}

@@ -1,0 +1,265 @@
+"""Outlines of discs, rings and carriers, and their files.
+
+Oracles: the path of the pin centres and its parallel line, evaluated here with complex numbers; the closed form of the
+enclosed area; pins that touch flanks without modifications at the ideal position; differences; ezdxf.
+"""
+
+import csv
+import io
+import xml.etree.ElementTree as ElementTree
+
+import jax
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+from scipy.special import ellipe
+
+from rvjax import CycloidalErrors, catalogue, geometry
+from rvjax.designs import RollerBearing
+from rvjax.units import mm, um
+
+DESIGNS = {
+    name: getattr(catalogue, name) for name in ("CYCLOIDAL_15", "CYCLOIDAL_17", "CYCLOIDAL_29", "RV_20E", "RV_40E")
+}
+FINE = 1e-8
+THREE = catalogue.CYCLOIDAL_29.replace(cycloid=catalogue.CYCLOIDAL_29.cycloid.replace(disc_count=3))
+
+
+def numbers(design):
+    """Pin circle and offset of the flank, eccentricity, pins."""
+    c = design.cycloid
+    offset = c.pin_radius + c.equidistant_modification
+    return c.pin_circle_radius + c.shift_modification, offset, c.eccentricity, c.pin_count
+
+
+def path(design, t):
+    """Pin centres and unit normals into the disc, complex."""
+    circle, _, e, pins = numbers(design)
+    along = 1j * (circle * np.exp(1j * t) - e * pins * np.exp(1j * pins * t))
+    return circle * np.exp(1j * t) - e * np.exp(1j * pins * t), 1j * along / np.abs(along)
+
+
+def plane(points):
+    return np.asarray(points) @ [1, 1j]
+
+
+def pairs(z):
+    return np.stack([z.real, z.imag], axis=1)
+
+
+@pytest.mark.parametrize("design", DESIGNS.values(), ids=DESIGNS)
+def test_points_lie_on_the_parallel_line_as_dense_as_the_chord_says(design):
+    found, offset = geometry.outline(design, chord=2 * um), numbers(design)[1]
+    t = np.linspace(0, 2 * np.pi, 400_001)[:-1]
+    centres, normals = path(design, t)
+    distance, nearest = KDTree(pairs(centres)).query(found.flank)
+    assert np.abs(distance - offset).max() < 1e-9
+    flank = plane(found.flank)
+    inwards = np.exp(1j * np.asarray(found.normal))
+    assert np.abs((flank - offset * inwards) - path(design, t)[0][nearest]).max() < 1e-6  # steps of t
+    true = centres + offset * normals
+    place = np.searchsorted(np.sort(nearest), np.arange(len(t)), side="right") - 1  # point before
+    assert np.all(np.diff(nearest) > 0)  # once round, counter-clockwise
+    begin, end = flank[place], np.roll(flank, -1)[place]
+    off = np.abs(((true - begin) * np.conj(end - begin)).imag) / np.abs(end - begin)
+    assert 1e-6 < off.max() < 2.02e-6  # no more points than needed
+    radius = np.abs(flank)
+    assert np.sum((radius > np.roll(radius, 1)) & (radius >= np.roll(radius, -1))) == design.cycloid.disc_teeth
+
+
+@pytest.mark.parametrize("design", DESIGNS.values(), ids=DESIGNS)
+def test_the_area_is_that_of_the_closed_form(design):
+    """pi (R^2 + zp e^2) less offset times length, and pi offset^2; arcs over their chords have k s^3/12."""
+    circle, offset, e, pins = numbers(design)
+    k = e * pins / circle
+    length = 4 * circle * (1 + k) * ellipe(4 * k / (1 + k) ** 2)
+    due = np.pi * (circle**2 + pins * e**2) - offset * length + np.pi * offset**2
+    found = geometry.outline(design, chord=FINE)
+    z, bend = plane(found.flank), np.asarray(found.curvature)
+    chords = np.abs(np.roll(z, -1) - z)
+    area = (np.conj(z) * np.roll(z, -1)).imag.sum() / 2
+    area += ((bend + np.roll(bend, -1)) / 2 * chords**3 / 12).sum()
+    assert area == pytest.approx(due, rel=1e-8)
+
+
+@pytest.mark.parametrize("design", [*DESIGNS.values(), THREE], ids=[*DESIGNS, "three discs"])
+def test_all_pins_touch_flanks_without_modifications(design):
+    """Every disc on its eccentric, its holes where the carrier is: only then is the phase of its flank right."""
+    c = design.cycloid.replace(equidistant_modification=0.0, shift_modification=0.0, profile_modification=None)
+    design = design.replace(cycloid=c)
+    pins = c.pin_circle_radius * np.exp(2j * np.pi * np.arange(c.pin_count) / c.pin_count)
+    for disc in range(c.disc_count):
+        found = geometry.outline(design, disc=disc, chord=FINE)
+        flank = plane(found.flank)
+        tangent = np.roll(flank, -1) - np.roll(flank, 1)
+        assert np.abs(np.exp(1j * np.asarray(found.normal)) - 1j * tangent / np.abs(tangent)).max() < 3e-3
+        flank = flank + c.eccentricity * np.exp(2j * np.pi * disc / c.disc_count)
+        distance, _ = KDTree(pairs(flank)).query(pairs(pins))
+        np.testing.assert_allclose(distance, c.pin_radius, atol=1e-7)
+
+
+@pytest.mark.parametrize("name", ["eccentricity", "pin_circle_radius", "pin_radius"])
+@pytest.mark.parametrize("design", [DESIGNS["CYCLOIDAL_17"], DESIGNS["RV_20E"]], ids=["drive", "RV"])
+def test_derivatives_of_the_flank(design, name):
+    value, step = getattr(design.cycloid, name), 1e-8
+
+    def flank(x):
+        return geometry.outline(design.replace(cycloid=design.cycloid.replace(**{name: x})), chord=20 * um).flank
+
+    due = (np.asarray(flank(value + step)) - np.asarray(flank(value - step))) / (2 * step)
+    np.testing.assert_allclose(jax.jacfwd(flank)(value), due, atol=1e-6 * np.abs(due).max())
+
+
+def test_a_profile_modification_is_material():
+    """a_0 cos(f psi) moves the flank towards the pin; curvature against `flank.modified`, of first order."""
+    design = DESIGNS["CYCLOIDAL_17"]
+    waves = np.array([0.0, 3 * um, 0.0, 0.0])
+    other = design.replace(cycloid=design.cycloid.replace(profile_modification=waves))
+    one = geometry.outline(other)
+    (_, offset, _, _), t = numbers(design), np.linspace(0, 2 * np.pi, 400_001)
+    distance, nearest = KDTree(pairs(path(design, t)[0])).query(one.flank)
+    lobe = design.cycloid.disc_teeth * t[nearest]
+    np.testing.assert_allclose(distance, offset - 3 * um * np.cos(2 * lobe), atol=2e-8)
+
+
+def test_circles_of_a_drive():
+    design = DESIGNS["CYCLOIDAL_17"]
+    out, e = design.output, design.cycloid.eccentricity
+    disc, ring, carrier = (geometry.outline(design, part=part) for part in ("disc", "ring", "carrier"))
+    assert not len(ring.flank) and not len(carrier.flank)
+    for one, name, count, circle, radius in (
+        (disc, "hole", out.count, out.circle_radius, out.pin_radius + e + out.hole_clearance / 2),
+        (carrier, "output pin", out.count, out.circle_radius, out.pin_radius),
+        (ring, "pin", design.cycloid.pin_count, design.cycloid.pin_circle_radius, design.cycloid.pin_radius),
+    ):
+        own = [c for c in one.circles if c.name.startswith(f"{name} ") and c.name[-1].isdigit()]
+        due = circle * np.exp(2j * np.pi * np.arange(count) / count)
+        np.testing.assert_allclose([c.x + 1j * c.y for c in own], due, atol=1e-15)
+        np.testing.assert_allclose([c.radius for c in own], radius, rtol=1e-14)
+    arm = design.bearings.arm
+    assert disc.circles[-1].name == "bore"
+    assert disc.circles[-1].radius == pytest.approx((arm.pitch_diameter + arm.roller_diameter) / 2)
+    bare = geometry.outline(design.replace(bearings=None))
+    assert bare.unknown == ("bore of the eccentric bearing",) and len(bare.circles) == out.count
+
+
+def test_circles_of_a_reducer():
+    """Crank 0 lies on the negative x axis (docs/models/loaded.md)."""
+    design = catalogue.RV_20E
+    arm, support = RollerBearing(12, 4 * mm, 8 * mm, 20 * mm), RollerBearing(12, 3 * mm, 8 * mm, 22 * mm)
+    design = design.replace(bearings=design.bearings.replace(arm=arm, support=support))
+    for part, radius in (("disc", 12 * mm), ("carrier", 12.5 * mm)):
+        found = geometry.outline(design, part=part)
+        count = design.cranks.count
+        due = design.cranks.circle_radius * np.exp(1j * (np.pi + 2 * np.pi * np.arange(count) / count))
+        np.testing.assert_allclose([c.x + 1j * c.y for c in found.circles], due, atol=1e-15)
+        assert [float(c.radius) for c in found.circles] == pytest.approx([radius] * count)
+    assert "bores of the cranks" in geometry.outline(design.replace(bearings=None)).unknown
+
+
+def test_sizes_of_a_unit():
+    """A larger pin is a size of the ring alone: the flank was ground for the nominal one."""
+    design = DESIGNS["CYCLOIDAL_17"]
+    sizes = dict(equidistant_modification=4 * um, pin_radius=3 * um, hole_radius=5 * um, output_pin_radius=-2 * um)
+    errors = CycloidalErrors(**sizes, pin_circle_radius=7 * um)
+    plain, made = ({part: geometry.outline(design, part=part, errors=e) for part in ("disc", "ring", "carrier")}
+                   for e in (None, errors))  # fmt: skip
+    t = np.linspace(0, 2 * np.pi, 400_001)
+    distance, _ = KDTree(pairs(path(design, t)[0])).query(made["disc"].flank)
+    np.testing.assert_allclose(distance, numbers(design)[1] + 4 * um, atol=1e-9)
+    for part, first, larger in (
+        ("disc", 0, 5 * um),
+        ("ring", 0, 3 * um),
+        ("ring", -1, 7 * um),
+        ("carrier", 0, -2 * um),
+    ):
+        one, other = (float(side[part].circles[first].radius) for side in (made, plain))
+        assert one - other == pytest.approx(larger, rel=1e-9)
+    moved = dict(eccentricity=6 * um, shift_modification=-8 * um)
+    stage = design.cycloid
+    due = stage.replace(**{name: getattr(stage, name) + by for name, by in moved.items()})
+    one = geometry.outline(design, errors=CycloidalErrors(**moved))
+    np.testing.assert_allclose(one.flank, geometry.outline(design.replace(cycloid=due)).flank, rtol=0, atol=1e-15)
+    x = made["ring"].circles[0].x - plain["ring"].circles[0].x
+    assert float(x) == pytest.approx(7 * um, rel=1e-9)
+
+
+def test_points_for_jit_and_vmap():
+    """A given number on each tooth, equally spaced along the path of the pin centres; of many designs at once."""
+    cycloid = DESIGNS["CYCLOIDAL_17"].cycloid
+
+    def made(e):
+        design = DESIGNS["CYCLOIDAL_17"].replace(cycloid=cycloid.replace(eccentricity=e))
+        return geometry.outline(design, points=16)
+
+    many = jax.jit(jax.vmap(made))(np.array([1.0, 1.6]) * mm)
+    assert many.flank.shape == (2, 17 * 16, 2)
+    np.testing.assert_allclose(many.flank[1], made(1.6 * mm).flank, rtol=0, atol=1e-16)
+    t = 2 * np.pi / (17 * 16) * np.arange(17 * 16)
+    centres, normals = path(DESIGNS["CYCLOIDAL_17"].replace(cycloid=cycloid.replace(eccentricity=1.6 * mm)), t)
+    np.testing.assert_allclose(
+        plane(many.flank[1]), centres + numbers(DESIGNS["CYCLOIDAL_17"])[1] * normals, atol=1e-15
+    )
+
+
+def test_bad_input():
+    design = DESIGNS["CYCLOIDAL_17"]
+    sharp = design.replace(cycloid=design.cycloid.replace(pin_radius=8.5 * mm))
+    wide = design.replace(output=design.output.replace(pin_radius=15 * mm))
+    for call, words in (
+        (lambda: geometry.outline(sharp), r"cut into the flank of the discs \(undercut\)"),
+        (lambda: geometry.outline(wide), "OutputPins.pin_radius: holes of radius .* overlap from"),
+        (lambda: geometry.outline(design, part="shaft"), "part = 'shaft'"),
+        (lambda: geometry.outline(design, disc=2), "disc = 2: must lie between 0 and 1"),
+        (lambda: geometry.outline(catalogue.CORR), "geometry.outline: takes a design of kind"),
+        (lambda: geometry.outline(design, chord=0.0), "chord = 0 m: must be positive"),
+        (lambda: geometry.outline(design, chord=1e-16), "chord = 1e-16 m: too small"),
+        (lambda: jax.jit(lambda d: geometry.outline(d).flank)(design), "jit or vmap traces needs `points`"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            call()
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    design = DESIGNS["CYCLOIDAL_17"]
+    return {"disc 0": geometry.outline(design), "ring": geometry.outline(design, part="ring")}
+
+
+def test_ezdxf_reads_the_drawing(drawn):
+    ezdxf = pytest.importorskip("ezdxf")
+    drawing = ezdxf.read(io.StringIO(geometry.DRAWINGS[".dxf"](drawn, ["first", "second"]).decode()))
+    assert not drawing.audit().errors and drawing.header["$INSUNITS"] == 4 and drawing.dxfversion == "AC1024"
+    assert [drawing.header.custom_vars.get(f"RVJAX {k}") for k in (0, 1)] == ["first", "second"]
+    space = drawing.modelspace()
+    (line,) = space.query("LWPOLYLINE")
+    assert line.closed and line.dxf.layer == "DISC_0_FLANK"
+    np.testing.assert_allclose(np.array([p[:2] for p in line]) * mm, drawn["disc 0"].flank, atol=1e-12)
+    circles = {}
+    for circle in space.query("CIRCLE"):
+        circles.setdefault(circle.dxf.layer, []).append((circle.dxf.center.x, circle.dxf.center.y, circle.dxf.radius))
+    assert {name: len(own) for name, own in circles.items()} == {
+        "DISC_0_HOLE": 6, "DISC_0_BORE": 1, "RING_PIN": 18, "RING_PIN_CIRCLE": 1,
+    }  # fmt: skip
+    assert circles["DISC_0_HOLE"][0] == pytest.approx((32.3, 0, 4.135))
+
+
+def test_svg_and_csv_have_the_same_numbers(drawn):
+    root = ElementTree.fromstring(geometry.DRAWINGS[".svg"](drawn, ["a < b"]))
+    name = "{http://www.w3.org/2000/svg}"
+    assert root.find(f"{name}desc").text == "a < b" and root.get("width").endswith("mm")
+    points = [tuple(map(float, p.split(","))) for p in root.find(f".//{name}polygon").get("points").split()]
+    np.testing.assert_allclose(np.array(points) * mm, drawn["disc 0"].flank, atol=1e-9)
+    assert len(root.findall(f".//{name}circle")) == 26
+    left, top, width, height = map(float, root.get("viewBox").split())
+    assert left == top == -width / 2 == -height / 2 and width / 2 > 45
+    lines = geometry.DRAWINGS[".csv"](drawn, ["about"]).decode().splitlines()
+    assert lines[0] == "# about" and "# disc 0, hole 0: centre 32.3, 0 mm, radius 4.135 mm" in lines
+    rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
+    flank = drawn["disc 0"]
+    for key, due in (
+        ("x [mm]", flank.flank[:, 0] / mm), ("y [mm]", flank.flank[:, 1] / mm),
+        ("normal [deg]", np.degrees(flank.normal)),
+        ("radius of curvature [mm]", 1 / flank.curvature / mm),
+    ):  # fmt: skip
+        np.testing.assert_allclose([float(row[key]) for row in rows], due, rtol=1e-10, atol=1e-12)
