@@ -36,6 +36,8 @@ import rvjax
 from rvjax import cli, models
 from rvjax._jax import programs
 from rvjax.render import Figure
+from rvjax.status import Status
+from rvjax.study import Study
 
 gc.set_threshold(200_000, 20, 100)  # tracing makes millions of objects; looking through them all cost a tenth
 rvjax.enable_x64()
@@ -115,6 +117,13 @@ def answered(tmp_path_factory):
 def undrawn(monkeypatch):
     """Pages and folders with empty plots, two seconds sooner each: for tests of their words."""
     monkeypatch.setattr(Figure, "content", lambda *_: b"")
+
+
+@pytest.fixture
+def unsolved(monkeypatch):
+    """`rvjax check` without the unit at the mid-points, ten seconds of compilation: for tests of its other lines."""
+    none = lambda self: (dict.fromkeys(self.requirements, float("nan")), Status.CONVERGED)  # noqa: E731
+    monkeypatch.setattr(Study, "at_mid_points", none)
 
 
 @pytest.fixture

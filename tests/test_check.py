@@ -2,7 +2,9 @@
 
 import io
 import json
+import math
 import os
+import re
 import sys
 import tomllib
 from importlib import resources
@@ -10,12 +12,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from rvjax import catalogue, cli, designs, study
+from rvjax import RVErrors, catalogue, cli, designs, lost_motion, study
 from rvjax.commands import check
 from rvjax.commands.forecast import expected, forewarn
 from rvjax.commands.init import written
+from rvjax.status import Status
 from rvjax.study.design import doubts
-from rvjax.units import mm
+from rvjax.units import mm, um
 
 GOOD = (resources.files("rvjax.study") / "embedded" / "rv-40e.toml").read_text("utf-8")
 DESIGN = 'base = "rv-40e"'
@@ -123,11 +126,11 @@ def test_a_limit_a_process_or_a_torque_far_from_every_known_reducer_is_said(old,
     assert len(found) == 1 and words in found[0]
 
 
-def test_check_shows_requirements_and_costs(capsys):
+def test_check_shows_requirements_and_costs(unsolved, capsys):
     """All that the study asks for, with the words and numbers of its file."""
     assert cli.main(["check", "rv-40e-whole"]) == 0
     lines = {line.split()[0]: line.split() for line in capsys.readouterr().out.splitlines() if line.strip()}
-    assert lines["life"][1:6] == [">=", "6000", "h", "99", "%"] and lines["misfit"][1:4] == ["<=", "30", "um"]
+    assert lines["life"][1:7] == [">=", "6000", "h", "none", "99", "%"] and lines["misfit"][1:4] == ["<=", "30", "um"]
     assert lines["disc_pitch"][1:] == ["3.158", "2", "um", "9.5", "um", "20", "um"]  # 3 (10/9.5)
     assert lines["conditions.duty"][1:4] == ["412", "N", "m,"]
     assert lines["conditions.output_torque"][1:] == ["412", "N", "m", "up", "to", "3.136", "kN", "m"]
@@ -251,3 +254,34 @@ def test_a_reader_that_has_enough_ends_a_command_quietly(tmp_path, monkeypatch, 
         monkeypatch.setattr(sys, "stdout", pipe)
         assert cli.main(["check", str(tmp_path / "quick.toml")]) == 0 and capsys.readouterr().err == ""
     # It was closed without an error: what was left in it went nowhere.
+
+
+def test_the_unit_at_the_mid_points_stands_beside_its_limits(tmp_path, capsys):
+    """Lost motion of the errors that the file states, by the function of the model; no tolerance moves a mid-point."""
+    file = tmp_path / "strict.toml"
+    file.write_text(GOOD.replace('upper = "1 arcmin"', 'upper = "0.1 arcmin"', 1))
+    assert cli.main(["check", str(file), "--format", "json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    errors = dict(bearing_clearance=8, pin_hole_clearance=2.5, base_tangent_upper=-14, base_tangent_lower=-14)
+    errors |= dict(disc_runout=7.5, disc_cumulative_pitch=9.5)
+    design = study.load("rv-40e", solve=False).design
+    due = lost_motion.geometric(design, RVErrors(**{name: size * um for name, size in errors.items()}))
+    values = {name: one["at_mid_points"] for name, one in found["requirements"].items()}
+    assert values["lost_motion"] == pytest.approx(float(due.total), rel=1e-12) and values["misfit"] == 0
+    (line,) = found["doubts"]
+    said = "transmission_error: 0.1601 arcmin, above 0.1 arcmin, at the mid-points: no tolerance can meet this"
+    assert line == f"{said} at these mid-points"  # its mid-points may move
+    text = (resources.files("rvjax.study") / "embedded" / "corr.toml").read_text("utf-8")
+    file.write_text(text.replace('upper = "3500 N"', 'upper = "2400 N"'))
+    assert cli.main(["check", str(file)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert re.search(r"cam_force: 2,489 N, above 2400 N, at the mid-points: no tolerance can meet this", said)
+
+
+def test_a_unit_at_the_mid_points_that_cannot_be_solved_is_a_warning(monkeypatch, capsys):
+    failed = lambda self: (dict.fromkeys(self.requirements, math.nan), Status.CONTACT_OVERLOAD)  # noqa: E731
+    monkeypatch.setattr(study.Study, "at_mid_points", failed)
+    assert cli.main(["check", "corr", "--format", "json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert all(one["at_mid_points"] is None for one in found["requirements"].values())
+    assert found["doubts"][-1].startswith("the unit at the mid-points cannot be solved: CONTACT_OVERLOAD")

@@ -285,7 +285,10 @@ def test_infeasible_requirements_are_refused_with_the_shortfall(undrawn, here, c
     text = PLAY.replace('upper = "2 arcmin"', 'upper = "0.1 arcmin"')
     (here / "hard.toml").write_text(text)
     assert cli.main(["allocate", "hard.toml", "--quiet"]) == 1
-    printed = capsys.readouterr().out
+    printed, said = capsys.readouterr()
+    assert re.search(
+        r"warning: lost_motion: .*, above 0.1 arcmin, at the mid-points: no tolerance can meet this\n", said
+    )
     assert "INFEASIBLE" in printed and "limit of lost_motion would have to move by" in printed
     result = json.loads((here / "results" / "hard" / "result.json").read_text())
     assert not result["feasible"] and 0 < result["shortfall"]["lost_motion"] < 3e-4

@@ -209,5 +209,5 @@ def test_mid_points_are_sizes_of_the_parts():
     """Those of a result: lower and upper limits, one number or one for each hole."""
     tolerances = study.parse_study(STUDY, name="x", solve=False).tolerances
     tolerances = tolerances.replace(throw=tolerances.throw.replace(lower=-1e-6, upper=5e-6))
-    found = export.outlines.mid_points(tolerances, rvjax.CycloidalErrors)
+    found = study.mid_points(tolerances, rvjax.CycloidalErrors)
     assert float(found.throw) == pytest.approx(2e-6) and float(found.hole_radius) == 0

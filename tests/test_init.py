@@ -255,7 +255,7 @@ def test_what_a_drawing_lacks_is_one_line(drawing, tmp_path, monkeypatch, capsys
     assert re.search(words, said) and len(said.splitlines()) == 1 and not (tmp_path / "mine.toml").exists()
 
 
-def test_commands(tmp_path, monkeypatch, capsys):
+def test_commands(tmp_path, monkeypatch, unsolved, capsys):
     monkeypatch.chdir(tmp_path)
     assert cli.main(["init", "mine.toml", "--base", "rv-80e"]) == 0
     assert "a study of the rv-80e to change. Next: rvjax check mine.toml" in capsys.readouterr().out

@@ -9,7 +9,7 @@ import numpy as np
 
 from rvjax import tolerances
 from rvjax.population import Population
-from rvjax.response import Part, elements, gradients, status_without_errors
+from rvjax.response import Part, elements, gradients, status_without_errors, unit_at_mid_points
 from rvjax.roots import solved
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, Requirement, Tolerance
@@ -62,6 +62,18 @@ def test_statistics_and_the_unit_without_errors_come_from_the_same_parts():
     assert status_without_errors(two, population(1.0)) == int(Status.CONVERGED)
     broken = Costly(lambda e: Outcome({"b": e["z"]}, jnp.int32(int(Status.SINGULAR))))
     assert status_without_errors(broken, population(1.0)) == int(Status.SINGULAR)
+
+
+def test_the_unit_at_the_mid_points():
+    """Of quick and of costly units; a vector has its mid-point at 0."""
+    limits = {
+        "x": Tolerance(1.0, 3.0),
+        "y": Tolerance(-3.0, 1.0, shape=(2,)),
+        "z": Tolerance(0.0, 2.0, distribution="rayleigh", shape=(2,)),
+    }
+    function = lambda e: {"sum": e["x"] + 10 * e["y"][1], "far": 100 + e["z"][0] + e["z"][1]}  # noqa: E731
+    for response in (function, Costly(function)):
+        assert unit_at_mid_points(response, Population.of(limits)) == ({"sum": -8.0, "far": 100.0}, 0)
 
 
 def test_numbers_beside_the_outputs_are_read_by_name():

@@ -1,16 +1,21 @@
 """`rvjax check`: the values that follow from a study, before anything is computed."""
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
 from rvjax import models, study
-from rvjax.commands import Inputs, option, study_argument
+from rvjax.base.progress import begin
+from rvjax.commands import READING, Inputs, option, study_argument
 from rvjax.commands.cells import assumed_text, condition_text, limit_text, limits_data, limits_of
-from rvjax.commands.forecast import choices, expected, level_lines
+from rvjax.commands.forecast import beyond_limits, choices, expected, level_lines
 from rvjax.levels import Choice
+from rvjax.outputs import Output
 from rvjax.render import Figure, Limits, Note, Number, Report, Table, Text
+from rvjax.status import MEANING, SUCCESS, Status
 from rvjax.study import KINDS, Study, facts_of, kind_of, numbers, shown
+from rvjax.units import with_unit
 
 
 @dataclass(kw_only=True)
@@ -45,17 +50,35 @@ class Checked:
         facts: (name, value) of what follows from the design.
         magnitudes: (number, value, range of known reducers or None), as text in suited units.
         levels: of each response.
+        values: required outputs of the unit at the mid-points of all tolerances, SI.
+        status: of this unit.
     """
 
     facts: list[tuple[str, str]]
     magnitudes: list[tuple[str, str, str | None]]
     levels: dict[str, Choice]
+    values: dict[str, float]
+    status: Status
+
+
+SOLVING = "unit at the mid-points"
+
+
+def phases(inputs: CheckInputs) -> tuple[str, ...]:
+    """Phases of the command.
+
+    Args:
+        inputs: what is computed.
+    """
+    return READING, SOLVING
 
 
 def compute(inputs: CheckInputs) -> Checked:
     """Compute the derived values of a study."""
     study = inputs.study
-    return Checked(list(facts_of(study.design)), _magnitudes(study), choices(study))
+    begin(SOLVING)
+    values, status = study.at_mid_points() if study.requirements else ({}, Status.CONVERGED)
+    return Checked(list(facts_of(study.design)), _magnitudes(study), choices(study), values, status)
 
 
 def _magnitudes(study: Study) -> list[tuple[str, str, str | None]]:
@@ -107,10 +130,11 @@ def _content(study: Study, found: Checked, source: str) -> list[Note | Table]:
     )
     requirements = Table(
         "requirements",
-        [Text("requirement"), Text("limit"), Text("target"), Text("meaning", wraps=True)],
+        [Text("requirement"), Text("limit"), Text("at mid-points"), Text("target"), Text("meaning", wraps=True)],
         [
-            [name, limit_text(one, study.output(name)), one.text(), study.output(name).meaning]
+            [name, limit_text(one, output), _value(output, found.values[name]), one.text(), output.meaning]
             for name, one in study.requirements.items()
+            for output in (study.output(name),)
         ],
     )
     costs = Table(
@@ -130,9 +154,14 @@ def _content(study: Study, found: Checked, source: str) -> list[Note | Table]:
         Note("\n".join(["How it will be computed:", *how])),
         *([Note(f"Assumed (not published): {assumed_text(study)}")] if study.assumed else []),
         Note("\n".join([*left, *([f"  {line}"] if (line := whole_line(study, source)) else [])])),
-        Note("\n".join(f"warning: {line}" for line in study.doubts + study.inaccurate()) or "No warnings."),
+        Note("\n".join(f"warning: {line}" for line in _warnings(study, found)) or "No warnings."),
     ]
     return [part for part in said if not isinstance(part, Note) or part.text]
+
+
+def _value(output: Output, value: float) -> str:
+    unit, size = output.shown
+    return with_unit(value / size, unit) if math.isfinite(value) else "none"
 
 
 def _cost(study: Study, field: str) -> list[object]:
@@ -159,6 +188,12 @@ def whole_line(study: Study, source: str) -> str:
     )
 
 
+def _warnings(study: Study, found: Checked) -> list[str]:
+    failed = [f"the unit at the mid-points cannot be solved: {found.status.name} ({MEANING[found.status]})"]
+    lines = beyond_limits(study, found.values) if found.status in SUCCESS else failed
+    return study.doubts + study.inaccurate() + lines
+
+
 def _data(study: Study, found: Checked) -> dict[str, object]:
     return {
         "study": study.name,
@@ -172,7 +207,13 @@ def _data(study: Study, found: Checked) -> dict[str, object]:
             for field in study.fields
         },
         "requirements": {
-            name: {"lower": one.lower, "upper": one.upper, "requires": one.text(), "unit": study.output(name).unit}
+            name: {
+                "lower": one.lower,
+                "upper": one.upper,
+                "requires": one.text(),
+                "unit": study.output(name).unit,
+                "at_mid_points": found.values[name],
+            }
             for name, one in study.requirements.items()
         },
         "costs": {
@@ -186,5 +227,5 @@ def _data(study: Study, found: Checked) -> dict[str, object]:
         },
         "time": expected(study),
         "left_out": study.left_out,
-        "doubts": study.doubts + study.inaccurate(),
+        "doubts": _warnings(study, found),
     }

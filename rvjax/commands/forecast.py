@@ -1,12 +1,15 @@
 """Forecast of a computation: warnings, levels, seconds of a unit; phases, units and seconds of an allocation."""
 
 import dataclasses
+import math
 import sys
+from collections.abc import Mapping
 from typing import Any
 
 from rvjax import levels, study as studies
 from rvjax.base.progress import spelled
 from rvjax.commands import say, share_cores
+from rvjax.commands.cells import against_limit
 from rvjax.levels import Choice
 from rvjax.response import BLOCK
 from rvjax.study import Study
@@ -58,6 +61,22 @@ def forewarn(study: Study, time: str = "") -> None:
     if study.accuracy:
         for line in filter(None, [*level_lines(study), time]):
             say(f"rvjax: {line}", file=sys.stderr)
+
+
+def beyond_limits(study: Study, values: Mapping[str, float]) -> list[str]:
+    """A line for each limit that the unit at the mid-points does not meet.
+
+    Args:
+        study: with the limits.
+        values: of the unit, SI.
+    """
+    lines = []
+    moving = " at these mid-points" if study.middles else ""
+    for name, limits in study.requirements.items():
+        if limits.limits_values and math.isfinite(values[name]) and limits.margin(values[name]) > 0:
+            shown_value = against_limit(values[name], limits, study.output(name))
+            lines.append(f"{name}: {shown_value}, at the mid-points: no tolerance can meet this{moving}")
+    return lines
 
 
 SEARCHING, CERTIFYING = "cheapest tolerances", "yield before"  # phases of a run

@@ -12,6 +12,7 @@ from rvjax.response.parts import (
     evaluator as evaluator,
     parts as parts,
     status_without_errors as status_without_errors,
+    unit_at_mid_points as unit_at_mid_points,
 )
 from rvjax.response.response import (
     BLOCK as BLOCK,

@@ -6,7 +6,6 @@ so the iteration is compiled once.
 """
 
 import functools
-import math
 from collections.abc import Callable, Mapping
 from math import prod
 from typing import Any, NamedTuple
@@ -243,11 +242,19 @@ def gradients(
     return values[:, : errors.shape[1]], slopes[:, : errors.shape[1]]
 
 
-def nominal_status(response: Response, population: Population) -> int:
-    """Status of the unit without errors, by the program of the gradients."""
-    names, count = response_names(response, population), sum(math.prod(t.shape) for t in population.active.values())
-    lanes = (jnp.zeros((rows, sloped_together()), jnp.result_type(float)) for rows in (count, len(names)))
-    return int(_on_all_devices(response, population, *lanes, names=names)[1][0])
+def one_unit(response: Response, population: Population, errors: np.ndarray) -> tuple[np.ndarray, int]:
+    """Values (k,) and status of the unit with errors (elements,), by the program of the gradients.
+
+    Args:
+        response: of one unit.
+        population: whose active fields the elements are.
+        errors: of the active fields, one after the other.
+    """
+    names, lanes = response_names(response, population), sloped_together()
+    each = jnp.asarray(np.repeat(errors[:, None], lanes, axis=1), jnp.result_type(float))
+    weights = jnp.zeros((len(names), lanes), each.dtype)
+    values, status, _ = _on_all_devices(response, population, each, weights, names=names)
+    return np.asarray(values)[:, 0], int(status[0])
 
 
 @jax.jit

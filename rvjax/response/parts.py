@@ -5,6 +5,7 @@ chunk, none waits for another.
 """
 
 import functools
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -19,11 +20,10 @@ from rvjax.response.derivatives import (
     Solution,
     elements,
     gradients,
-    nominal_status,
+    one_unit,
     pulls,
     solution,
     solve,
-    without_errors,
 )
 from rvjax.response.response import (
     BLOCK,
@@ -107,9 +107,17 @@ class Part:
         rows = [np.stack([each.values[f"{name}[{k}]"] for k in range(length)]) for each in found]
         return np.concatenate(rows, axis=1).T
 
-    def nominal_status(self, population: Population) -> int:
-        """Status of the unit without errors, by the program of all the others."""
-        return int(self._of(population, 1, lambda lanes: without_errors(population, len(lanes)))[1][0])
+    def one(self, population: Population, errors: np.ndarray) -> tuple[np.ndarray, int]:
+        """Values (k,) and status of the unit with errors (elements,), by the program of all the others.
+
+        Args:
+            population: of the units.
+            errors: of the unit.
+        """
+        values, status, _ = self._of(
+            population, 1, lambda lanes: jnp.asarray(np.repeat(errors[:, None], len(lanes), axis=1))
+        )
+        return values[:, 0], int(status[0])
 
     def _of(self, population: Population, count: int, errors: Errors) -> Solution:
         self.solved += count
@@ -142,9 +150,9 @@ class Whole(Part):
         """The same, which needs no state."""
         return gradients(self.response, population, errors, cotangents, self.names)[1]
 
-    def nominal_status(self, population: Population) -> int:
-        """Status of the unit without errors, by the program of the gradients."""
-        return nominal_status(self.response, population)
+    def one(self, population: Population, errors: np.ndarray) -> tuple[np.ndarray, int]:
+        """The same, by the program of the gradients."""
+        return one_unit(self.response, population, errors)
 
 
 def _drawn(population: Population, z: np.ndarray) -> Errors:
@@ -269,4 +277,24 @@ def evaluator(
 
 def status_without_errors(response: Response, population: Population) -> int:
     """Status of the unit without errors, the worst of all parts."""
-    return int(worst(np.array([part.nominal_status(population) for part in parts(response, population)])))
+    return unit_of(response, population, np.zeros(sum(math.prod(t.shape) for t in population.active.values())))[1]
+
+
+def unit_at_mid_points(response: Response, population: Population) -> tuple[dict[str, float], int]:
+    """Values of the unit at the mid-points of all limits, vectors at 0, and its status, the worst of all parts."""
+    active = population.active.values()
+    middles = [np.full(math.prod(t.shape), 0.0 if t.law.of_vectors else float(t.middle)) for t in active]
+    return unit_of(response, population, np.concatenate([np.zeros(0), *middles]))
+
+
+def unit_of(response: Response, population: Population, errors: np.ndarray) -> tuple[dict[str, float], int]:
+    """Values of one unit by name, and its status, the worst of all parts.
+
+    Args:
+        response: of one unit.
+        population: whose active fields the errors are.
+        errors: (elements,) of the active fields, one after the other.
+    """
+    solved = [(part.names, *part.one(population, errors)) for part in parts(response, population)]
+    values = {name: float(value) for names, row, _ in solved for name, value in zip(names, row)}
+    return values, int(worst(np.array([status for *_, status in solved])))

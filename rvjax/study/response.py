@@ -202,8 +202,14 @@ def followed_bounds(tolerances: Record) -> tuple[str, ...]:
 
 
 @per_response(options=ONCE)
-def _status(response: Response, errors: Errors) -> jax.Array:
-    return response(errors).status
+def outcome_of(response: Response, errors: Errors) -> Outcome:
+    """Required outputs of one unit.
+
+    Args:
+        response: of the study.
+        errors: of the unit.
+    """
+    return response(errors)
 
 
 def check_nominal(response: Response, errors: Errors) -> None:
@@ -216,7 +222,7 @@ def check_nominal(response: Response, errors: Errors) -> None:
     Raises:
         ValueError: names the status.
     """
-    refuse(int(_status(response, errors)))
+    refuse(int(outcome_of(response, errors).status))
 
 
 def refuse(status: int) -> None:

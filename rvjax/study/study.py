@@ -14,6 +14,7 @@ from rvjax.catalogue import accept, fields_of
 from rvjax.levels import Choice, choose
 from rvjax.outputs import Curve, Output
 from rvjax.records import PyTree, Record, Scalar
+from rvjax.status import Status, worst
 from rvjax.study.design import (
     Number,
     comments,
@@ -27,8 +28,8 @@ from rvjax.study.design import (
 from rvjax.study.goals import Price
 from rvjax.study.identification import Identification
 from rvjax.study.kinds import changed, kind_of
-from rvjax.study.response import DesignResponse, Response, check_nominal, followed_bounds
-from rvjax.study.tolerances import Form, forms
+from rvjax.study.response import DesignResponse, Response, check_nominal, followed_bounds, outcome_of
+from rvjax.study.tolerances import Form, forms, mid_points
 from rvjax.study.values import (
     StudyError as StudyError,  # other modules take it from here
     known,
@@ -192,6 +193,11 @@ class Study:
         """
         with naming(self.name):
             check_nominal(self.response(solve=False), self.design.error_record())
+
+    def at_mid_points(self) -> tuple[dict[str, float], Status]:
+        """Required outputs, SI, of the unit whose errors are the mid-points of their tolerances, and its status."""
+        found = outcome_of(self.response(solve=False), mid_points(self.tolerances, self.design.error_record))
+        return {name: float(value) for name, value in found.value.items()}, Status(int(worst(found.status)))
 
     @functools.cached_property
     def _solved(self) -> None:

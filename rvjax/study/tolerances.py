@@ -10,6 +10,8 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from rvjax import models
 from rvjax.base.fields import axis_sizes
 from rvjax.errors import described, placed_by
@@ -159,6 +161,18 @@ def _length(value: object, where: str, before: str = "") -> float:
 
 def _text(value: float) -> str:
     return f"{value!r} m"
+
+
+def mid_points(tolerances: Record, record: type[Record]) -> PyTree:
+    """Errors of the unit at the mid-points of all limits; vectors have theirs at 0.
+
+    Args:
+        tolerances: a Tolerance or None in each field.
+        record: class of the errors.
+    """
+    given = {f.name: getattr(tolerances, f.name) for f in dataclasses.fields(tolerances)}
+    scalars = {name: one for name, one in given.items() if one is not None and not one.law.of_vectors}
+    return record(**{name: np.float64(one.middle) for name, one in scalars.items()})
 
 
 def refuse_unplaced(kind: models.Kind, outputs: Sequence[str], tolerances: Record) -> None:

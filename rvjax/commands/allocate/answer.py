@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import os
+import sys
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -14,9 +15,10 @@ import rvjax
 from rvjax import tolerances
 from rvjax.base.files import versions
 from rvjax.base.progress import begin, progress_bar
+from rvjax.commands import say
 from rvjax.commands.allocate.full_model_check import Unlimited, Whole, unlimited, whole
 from rvjax.commands.budget.effects import curves_of
-from rvjax.commands.forecast import CERTIFYING, PRICING, SAMPLING, SEARCHING, shown_values, targets
+from rvjax.commands.forecast import CERTIFYING, PRICING, SAMPLING, SEARCHING, beyond_limits, shown_values, targets
 from rvjax.population import Population, root_key
 from rvjax.records import PyTree
 from rvjax.render import numbered_folders
@@ -27,7 +29,9 @@ from rvjax.response import (  # chunks of the certificate's size: the response c
     parts,
     response_names,
     status_without_errors,
+    unit_at_mid_points,
 )
+from rvjax.status import SUCCESS, Status
 from rvjax.study import CURVE, Study, refuse
 from rvjax.tolerances import (
     Allocation,
@@ -118,9 +122,13 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None, me
     response = study.response()
     begin(SEARCHING)
     with progress_bar(progress, None, "checked", "unit") as advance:  # compiles the gradients: the longest wait
-        refuse(status_without_errors(response, Population.of(study.tolerances)))
+        population = Population.of(study.tolerances)
+        refuse(status_without_errors(response, population))
+        values, status = unit_at_mid_points(response, population)
         advance(1)
-    population, aims = Population.of(study.tolerances), [] if study.losses else targets(study)
+    for line in beyond_limits(study, values) if Status(status) in SUCCESS else []:
+        say(f"rvjax: warning: {line}", file=sys.stderr)
+    aims = [] if study.losses else targets(study)
     allocation = allocate(
         response,
         study.tolerances,

@@ -1,6 +1,5 @@
 """Outlines of the parts of a study, at the sizes of its design or at the mid-points of a result."""
 
-import dataclasses
 import hashlib
 
 import jax
@@ -10,21 +9,9 @@ import rvjax
 from rvjax.commands.compare.results import answered
 from rvjax.commands.export.inputs import ALL, ExportInputs
 from rvjax.geometry import DRAWINGS, PARTS, Outline, layer, outline
-from rvjax.records import PyTree
 from rvjax.render import Note, Report, Table, Text
-from rvjax.study import StudyError, naming
+from rvjax.study import StudyError, mid_points, naming
 from rvjax.units import mm, um
-
-
-def mid_points(tolerances: PyTree, record: type) -> PyTree:
-    """Errors of a unit at the mid-points of all tolerances.
-
-    Args:
-        tolerances: of a result.
-        record: class of the errors.
-    """
-    given = {f.name: getattr(tolerances, f.name) for f in dataclasses.fields(tolerances)}
-    return record(**{name: np.float64(one.middle) for name, one in given.items() if one is not None})
 
 
 def outlines(inputs: ExportInputs) -> dict[str, Outline]:
