@@ -125,7 +125,10 @@ def test_the_interval_of_a_price_of_half_widths_alone(monkeypatch):
 @one_start()
 @pytest.mark.parametrize("seed", [9, *(pytest.param(k, marks=pytest.mark.long) for k in (10, 12))])
 def test_all_prices_of_a_random_problem(seed, monkeypatch):
-    """Within 5 %, of which the certificate takes up to 2 %. Prices of 8192 units scatter by 4 %, of these by 2 %."""
+    """Within 5 %, of which the certificate takes up to 2 %. Prices of 8192 units scatter by 4 %, of these by 2 %.
+
+    A small price is what others leave of the savings: it scatters by parts of the largest.
+    """
     monkeypatch.setattr(search_problem, "QUICK", 32_768)
     given = problem(seed)
     cost, prices, _ = given.exact()
@@ -135,4 +138,5 @@ def test_all_prices_of_a_random_problem(seed, monkeypatch):
     assert found.status == "OPTIMAL" and cost < found.cost < 1.01 * cost
     assert min(map(abs, prices.values())) > 0
     for name, price in prices.items():
-        assert found.multipliers[name] == pytest.approx(price, rel=0.05)
+        largest = max(map(abs, prices.values()))
+        assert found.multipliers[name] == pytest.approx(price, rel=0.05, abs=0.03 * largest)

@@ -40,7 +40,7 @@ def test_one_direction_of_the_errors_of_a_four_bar_curve():
     np.testing.assert_allclose(
         list(throws.values()), 0.5 * np.array([1, -1, -1, 1]) * np.sign(throws[min(throws)]), atol=1e-3
     )
-    assert in_words(rounded(only.loadings)).endswith(" [0,0] - [0,1] - [1,0] + [1,1]")
+    assert in_words(rounded(throws)).endswith(" [0,0] - [0,1] - [1,0] + [1,1]")
 
 
 @pytest.mark.long  # the table of docs/identify_bench.md rests on it

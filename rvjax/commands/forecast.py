@@ -87,7 +87,7 @@ YIELD_SWEEP = (0.9, 0.95, 0.99, 0.995, 0.999)
 
 # Counted in results of rv-40e, with moving mid-points and half-widths rounded to grades; of costly units in those of an
 # RV-20E with a moving mid-point and of rv-40e-whole.
-PASSES = {True: 110, False: 60}  # of a search and its cost curve over its sample, with and without moving mid-points
+PASSES = {True: 90, False: 60}  # of a search and its cost curve over its sample, with and without moving mid-points
 CERTIFICATES = {True: 5, False: 4}
 PASSES_A_POINT = 6  # of the cost curve
 COSTLY_PASSES, COSTLY_CERTIFICATES, COSTLY_POINT = {True: 7, False: 3}, 3, 6000

@@ -6,12 +6,14 @@ taken there, of what is wanted itself.
 """
 
 import functools
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
 from rvjax._jax.elementary import arctan2, sin_cos
 from rvjax._jax.kernels import once_more, scan, settle
@@ -100,7 +102,10 @@ def largest_and_smallest(
             parts = whole(arrays)
             both = settle(_near(score.of(parts), score.wave(parts), angles, places))
             todo = jnp.isnan(jnp.real(both))
-            both = once_more(lambda arrays: _at_once(score.of(whole(arrays)), angles, places), arrays, both, todo)
+            dtype = jnp.finfo(arrays[0].dtype).dtype  # of complex numbers too
+            both = once_more(
+                lambda arrays: _at_once(score.of(whole(arrays)), angles, places, dtype), arrays, both, todo
+            )
         return jnp.real(both), jnp.imag(both)
 
     @jax.custom_jvp
@@ -150,10 +155,11 @@ def _all(along: Callable[[Crank], jax.Array], angles: int, places: bool, togethe
     return jax.lax.complex(*best[-2:])
 
 
-def _at_once(along: Callable[[Crank], jax.Array], angles: int, places: bool) -> jax.Array:
+def _at_once(along: Callable[[Crank], jax.Array], angles: int, places: bool, dtype: DTypeLike) -> jax.Array:
     """`_all` with all angles together: for few batch elements, where starting a kernel costs more than its work."""
     index = np.arange(angles)
-    every = settle(along(Crank(np.cos(2 * np.pi / angles * index), np.sin(2 * np.pi / angles * index))))
+    turn = 2 * np.pi / angles * index
+    every = settle(along(Crank(np.cos(turn).astype(dtype), np.sin(turn).astype(dtype))))
     most, least = jnp.max(every), jnp.min(every)
     if places:  # several times as fast as argmax
         first = [jnp.min(jnp.where(every == best, index, angles)).astype(every.dtype) for best in (most, least)]
@@ -167,7 +173,7 @@ def _near(along: Callable[[Crank], jax.Array], wave: Wave, angles: int, places: 
     One number, for XLA repeats for each result everything that leads to it.
     """
     step = 2 * np.pi / angles
-    sure = wave.rest**2 < (wave.cosine**2 + wave.sine**2) * np.sin(_BESIDE * step / 2) ** 2  # false for NaN
+    sure = wave.rest**2 < (wave.cosine**2 + wave.sine**2) * math.sin(_BESIDE * step / 2) ** 2  # false for NaN
 
     below = jnp.floor(arctan2(wave.sine, wave.cosine) / step)
     sine, cosine = sin_cos(below * step)
@@ -175,7 +181,7 @@ def _near(along: Callable[[Crank], jax.Array], wave: Wave, angles: int, places: 
     def extreme(sign: int, below: jax.Array, cosine: jax.Array, sine: jax.Array) -> jax.Array:
         best, where = jnp.full_like(below, -sign * jnp.inf), below
         for j in range(1 - _BESIDE, 1 + _BESIDE):
-            now = along(Crank(cosine, sine).turned(np.cos(j * step), np.sin(j * step)))
+            now = along(Crank(cosine, sine).turned(math.cos(j * step), math.sin(j * step)))
             better = now > best if sign > 0 else now < best
             best, where = jnp.where(better, now, best), jnp.where(better, below + j, where)
         return jnp.mod(where, angles) if places else best
@@ -184,7 +190,7 @@ def _near(along: Callable[[Crank], jax.Array], wave: Wave, angles: int, places: 
     # An odd number of angles has none opposite to another: half a step off, which leaves the bound as it is.
     half, ahead = angles // 2, Crank(-cosine, -sine)
     if angles % 2:
-        ahead = Crank(cosine, sine).turned(np.cos(half * step), np.sin(half * step))
+        ahead = Crank(cosine, sine).turned(math.cos(half * step), math.sin(half * step))
     return jax.lax.complex(crest, extreme(-1, below + half, ahead.cosine, ahead.sine))
 
 

@@ -16,7 +16,7 @@ from rvjax.tolerances.allocation.look import FAILED, Look
 _INWARD, _OUTWARD = 5.0, 0.7  # reach of a ray, logarithm of the factor
 _IDLE = 0.5  # with a larger factor than this, its logarithm, a limit does not bind
 _STEP, _PART = 0.15, 0.05  # of differences, logarithm of a half-width or part of a range: several units cross
-_DOUBLED = 3  # times: a part by which a limit is moved for its price, until that changes something
+_DOUBLED = 4  # times: a part by which a limit is moved for its price, until that counts on both sides
 _FINE, _COARSE = 1e-3, 3e-3  # accuracy of a place on a ray and of a difference
 
 
@@ -51,7 +51,8 @@ class Rays:
             x: vector of decisions.
         """
         constraints, rows = self._constraints, self._constraints.rows
-        rates = np.zeros(len(rows))
+        here = self.look(x).used
+        rates, known = np.zeros(len(rows)), np.zeros(len(rows), bool)
         for part in _PART * 2.0 ** np.arange(_DOUBLED):
             moves, used = part * constraints.ways, []
             for sign in (-1.0, 1.0):
@@ -61,7 +62,9 @@ class Rays:
                 ]
                 used.append(self.look(x).used)
             constraints.rows = rows
-            rates = np.where(np.abs(rates) > 0, rates, (used[0] - used[1]) / (2 * moves))
+            both = (used[0] != here) & (used[1] != here)  # in steps a limit just above one counts on one side alone
+            rates = np.where(known | ((rates != 0) & ~both), rates, (used[0] - used[1]) / (2 * moves))
+            known |= both
         with np.errstate(divide="ignore"):
             return np.asarray(1 / np.where(self._shares, rates, 1 / constraints.ways))
 
