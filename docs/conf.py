@@ -36,9 +36,9 @@ napoleon_use_rtype = False
 # Types of other libraries, and words before a colon in a line of prose, are no targets.
 nitpick_ignore_regex = [
     ("py:.*", r"(?!rvjax\b).*"),
-    ("py:class", r"rvjax\.tolerances\.requirements\.limits\.Limits"),  # what all kinds of requirements share
-    ("py:class", r"rvjax\.(tolerances\.allocation\.cost\.Cost|study\.variables\.Price)"),  # costs of a study
-    ("py:class", r"rvjax\.identify\.(problem\.Problem|search\.Peak)"),  # kept for sample and predict
+    ("py:class", r"rvjax\.tolerances\.limits\.Limits"),  # what all kinds of requirements share
+    ("py:class", r"rvjax\.(tolerances\.allocation\.cost\.Cost|study\.goals\.Price)"),  # costs of a study
+    ("py:class", r"rvjax\.identify\.(identification\.Problem|search\.Peak)"),  # kept for sample and predict
 ]
 
 

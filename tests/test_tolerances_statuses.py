@@ -182,6 +182,15 @@ def test_grades_of_costly_units_that_alone_are_certified_have_all_figures(monkey
     assert np.isnan(found.graded.certificate.mean.value) and seen.values is not None
 
 
+def test_costly_units_whose_limit_never_decides():
+    """The coarsest half-widths have a standard deviation of 0.37 mm, the limit is 2 mm: the certificate solves all."""
+    far = Requirement(lower=-2e-3, upper=2e-3, target=0.99)
+    found = allocate(Costly(linear), PAIR, far, grades=True, **FEW)
+    assert found.status == "OPTIMAL" and found.half_widths == pytest.approx({"a": 500 * um, "b": 500 * um})
+    assert found.certificate.samples == UNITS and found.certificate.verdicts.met
+    assert found.certificate.sd.value == pytest.approx(np.hypot(500, 1000) / 3 * um, rel=0.02)
+
+
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("start", [0.0, 0.5, 1.19])
 def test_an_output_that_fails_beyond_its_limit(start):

@@ -1,6 +1,6 @@
 """Comparison with the literature: published values as data, compared with the results of the models.
 
-One TOML file per source. Fields of a `[[figure]]`:
+One TOML file per source. Fields of a `[[figure]]`::
 
     id               source.section.short_name, unique
     where, claim     place in the source, the value or statement in other words

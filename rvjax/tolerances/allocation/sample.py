@@ -52,14 +52,14 @@ class Units:
         return found
 
     def decisive(self, names: tuple[str, ...], aside: frozenset[str]) -> tuple[str, ...]:
-        """The responses but those of parts in which no limit decides.
+        """The responses but those of parts in which no limit decides; all where none does.
 
         Args:
             names: of the responses.
             aside: responses whose limits do not decide.
         """
         spared = {name for part in self.parts if set(part.names) <= aside for name in part.names}
-        return tuple(name for name in names if name not in spared)
+        return tuple(name for name in names if name not in spared) or names
 
     @staticmethod
     def failing_in_all(values: Values) -> Values:
