@@ -43,9 +43,9 @@ def answered_once() -> Iterator[dict]:
 
     real, fitted = rvjax.commands.allocate.answer.answer, response_surface.surrogate
 
-    def once(question, *, progress=False, memo=None, measure=True):
+    def once(question, *, progress=False, memo=None, measure=True, tell=str):
         if question.text not in FOUND:
-            FOUND[question.text] = real(question, progress=progress, memo=memo, measure=measure)
+            FOUND[question.text] = real(question, progress=progress, memo=memo, measure=measure, tell=tell)
         return dataclasses.replace(FOUND[question.text], study=question)
 
     def few(answer):

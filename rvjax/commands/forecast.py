@@ -49,6 +49,15 @@ def unit_seconds(study: Study) -> float | None:
     return None if solved is None else found + solved
 
 
+def warned(line: str) -> None:
+    """Print a warning.
+
+    Args:
+        line: without the word.
+    """
+    say(f"rvjax: warning: {line}", file=sys.stderr)
+
+
 def forewarn(study: Study, time: str = "") -> None:
     """Print warnings on input values, and the level of each response with an accuracy, before any work.
 
@@ -57,7 +66,7 @@ def forewarn(study: Study, time: str = "") -> None:
         time: expected time of the command, shown next to the levels; "" for none.
     """
     for line in study.doubts:
-        say(f"rvjax: warning: {line}", file=sys.stderr)
+        warned(line)
     if study.accuracy:
         for line in filter(None, [*level_lines(study), time]):
             say(f"rvjax: {line}", file=sys.stderr)

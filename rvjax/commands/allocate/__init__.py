@@ -41,7 +41,7 @@ from rvjax.commands.allocate.tables import (
 )
 from rvjax.commands.budget.effects import influence_tables
 from rvjax.commands.cells import assumed_text, failures_text, limit_text, searched_texts, share
-from rvjax.commands.forecast import expected, forewarn, phases_of, read_study, seconds_of_units
+from rvjax.commands.forecast import expected, forewarn, phases_of, read_study, seconds_of_units, warned
 from rvjax.life import dynamic_rating
 from rvjax.outputs import Output
 from rvjax.population import Estimate, deviate_of
@@ -226,7 +226,8 @@ def compute(inputs: AllocateInputs) -> Answer | None:
         return None
     with units_placed(lambda: seconds_of_units(inputs.study)) as device:
         tell(device)
-        return answer.answer(inputs.study, progress=not inputs.quiet, memo=inputs.memo, measure=not inputs.no_whole)
+        measure, shown = not inputs.no_whole, not inputs.quiet
+        return answer.answer(inputs.study, progress=shown, memo=inputs.memo, measure=measure, tell=warned)
 
 
 def report(inputs: AllocateInputs, found: Answer | None) -> Report:

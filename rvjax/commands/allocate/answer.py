@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import os
-import sys
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -15,7 +14,6 @@ import rvjax
 from rvjax import tolerances
 from rvjax.base.files import versions
 from rvjax.base.progress import begin, progress_bar
-from rvjax.commands import say
 from rvjax.commands.allocate.full_model_check import Unlimited, Whole, unlimited, whole
 from rvjax.commands.budget.effects import curves_of
 from rvjax.commands.forecast import CERTIFYING, PRICING, SAMPLING, SEARCHING, beyond_limits, shown_values, targets
@@ -109,7 +107,14 @@ class Answer:
     unlimited: Mapping[str, Unlimited] = dataclasses.field(default_factory=dict)
 
 
-def answer(study: Study, *, progress: bool = False, memo: Memo | None = None, measure: bool = True) -> Answer:
+def answer(
+    study: Study,
+    *,
+    progress: bool = False,
+    memo: Memo | None = None,
+    measure: bool = True,
+    tell: Callable[[str], object] = str,
+) -> Answer:
     """Allocate the tolerances of a study and collect what the report shows.
 
     Args:
@@ -118,6 +123,7 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None, me
         memo: store of intermediate results, from which an interrupted run resumes.
         measure: measure the allocated units of a four-bar or lost-motion study on the whole reducer, and what a
             loaded study does not limit.
+        tell: takes a line on each limit that the unit at the mid-points does not meet, before the search.
     """
     response = study.response()
     begin(SEARCHING)
@@ -127,7 +133,7 @@ def answer(study: Study, *, progress: bool = False, memo: Memo | None = None, me
         values, status = unit_at_mid_points(response, population)
         advance(1)
     for line in beyond_limits(study, values) if Status(status) in SUCCESS else []:
-        say(f"rvjax: warning: {line}", file=sys.stderr)
+        tell(line)
     aims = [] if study.losses else targets(study)
     allocation = allocate(
         response,
