@@ -231,7 +231,7 @@ def test_a_fresh_result_takes_the_place_of_the_stored_one(answers, undrawn, here
     assert cli.main([*command, "--fresh"]) == 0 and "Results: results/small-2\n" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("text", "factor"), [(SMALL, 4), pytest.param(FLAT, 3, marks=pytest.mark.long)])
+@pytest.mark.parametrize(("text", "factor"), [(SMALL, 4), pytest.param(FLAT, 2, marks=pytest.mark.long)])
 def test_an_answer_solves_about_as_many_units_as_check_tells(answers, text, factor):
     """Passes and certificates are those of rv-40e, with a mid-point at no cost; the small study has its own."""
     if text not in answers:
@@ -242,7 +242,7 @@ def test_an_answer_solves_about_as_many_units_as_check_tells(answers, text, fact
     assert list(told) == [SEARCHING, CERTIFYING, SAMPLING, PRICING]  # the order in which they run
     passes, certificates = counted["search"] / QUICK, counted["certificates"]
     certificates /= units_of(study.requirements, study.certificate_samples)
-    assert PASSES[middles] / factor < passes < factor * PASSES[middles]
+    assert PASSES / factor < passes < factor * PASSES
     assert CERTIFICATES[middles] / factor <= certificates <= factor * CERTIFICATES[middles]
     assert told[SEARCHING] / factor < counted["search"] + counted["certificates"] < factor * told[SEARCHING]
     assert told[CERTIFYING] == answers[text].certificate_before.samples

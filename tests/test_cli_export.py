@@ -53,7 +53,8 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "ragged.toml").write_text(UNIT.format(places='[["1 um"], ["1 um", "2 um"]]'))
     (tmp_path / "there.json").write_text("mine")
     (tmp_path / "there.svg").write_text("mine")
-    for name, design in (("mine", "cycloidal-17"), ("other", "cycloidal-15")):
+    ringed = 'cycloidal-17"\nmember = "ring'  # no number differs
+    for name, design in (("mine", "cycloidal-17"), ("other", "cycloidal-15"), ("ringed", ringed)):
         (tmp_path / name).mkdir()
         (tmp_path / name / "study.toml").write_text(STUDY.replace("cycloidal-17", design))
         (tmp_path / name / "result.json").write_text(json.dumps(RESULT | {"study": name}))
@@ -89,6 +90,9 @@ def folder(tmp_path, monkeypatch):
         (["drive.toml", "a.svg", "--chord", "0 um"], "--chord = '0 um': must be positive"),
         (["drive.toml", "a.svg", "--result", "no"], "no: there is no results folder"),
         (["drive.toml", "a.svg", "--result", "other"], "other: is the result of another design than drive"),
+        (["drive.toml", "a.svg", "--result", "ringed"], "ringed: is the result of another design than drive"),
+        (["drive.toml", "a.svg", "--unit", "median"], "--unit: a.svg is an outline, which has no such option"),
+        (["drive.toml", "a.json", "--part", "ring"], "--part: a.json is a joint model, which has no such option"),
         (["other.toml", "a.svg"], "geometry.outline: takes a design of kind"),
     ],
 )
@@ -201,7 +205,10 @@ def test_outlines_need_no_friction_and_say_what_they_show(folder, capsys):
     assert groups == ["DISC_0_FLANK", "DISC_0_HOLE", "DISC_0_BORE", "RING_PIN", "RING_PIN_CIRCLE", "CARRIER_OUTPUT_PIN"]
     assert cli.main(["export", "drive.toml", "a.csv", "--result", "mine", "--format", "json", "--quiet"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert found["sizes"] == "the mid-points of mine" and found["file"] == "a.csv"
+    assert found["sizes"] == "the mid-points of mine, OPTIMAL" and found["file"] == "a.csv"
+    (folder / "mine" / "result.json").write_text(json.dumps(RESULT | {"study": "mine", "status": "INFEASIBLE"}))
+    assert cli.main(["export", "drive.toml", "b.csv", "--result", "mine", "--quiet"]) == 0
+    assert "the mid-points of mine, INFEASIBLE: not certified" in " ".join(capsys.readouterr().out.split())
     assert (folder / "a.csv").read_text().startswith("# Outlines of drive (study ")
 
 

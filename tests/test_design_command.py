@@ -143,6 +143,7 @@ def test_geometry_first_ends_at_the_limit_that_its_price_leads_to(limits, price,
     assert geometry_first(study) == pytest.approx({"x": due}, rel=1e-6)
 
 
+@pytest.mark.xfail(reason="the module ends 0.1 % inside its bound, at 0.7 % more than the least cost")
 @pytest.mark.long  # the command below solves a smaller problem; tests/test_codesign.py has exact optima
 def test_the_mechanical_problem_of_the_reference():
     """Four-bar and lost motion with what follows the variables: cost within 1 %, numbers within their ranges.
@@ -165,8 +166,7 @@ def test_the_mechanical_problem_of_the_reference():
     assert found.cost == pytest.approx(due["cost"], rel=0.01)
     for name, (low, high) in due["ranges"].items():
         assert low - 1e-9 <= found.values[name] <= high + 1e-9, name
-    active = {name: bound for name, bound in found.bounds_active.items() if bound}
-    assert active.items() <= due["bounds_active"].items()  # 0.1 % from its bound a number costs next to nothing
+    assert found.bounds_active == due["bounds_active"]
 
 
 @pytest.fixture(scope="module", params=["one limit", pytest.param("two limits", marks=pytest.mark.long)])

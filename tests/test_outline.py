@@ -9,6 +9,7 @@ import io
 import xml.etree.ElementTree as ElementTree
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
@@ -16,6 +17,7 @@ from scipy.special import ellipe
 
 from rvjax import CycloidalErrors, catalogue, geometry
 from rvjax.designs import RollerBearing
+from rvjax.plotting.drawings import flank
 from rvjax.units import mm, um
 
 DESIGNS = {
@@ -184,6 +186,20 @@ def test_sizes_of_a_unit():
     assert float(x) == pytest.approx(7 * um, rel=1e-9)
 
 
+def test_single_precision_and_pictures():
+    """The dtype is that of the design; a picture has the same flank, of an undercut design too."""
+    design = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), DESIGNS["CYCLOIDAL_17"])
+    one, due = (geometry.outline(d, points=16) for d in (design, DESIGNS["CYCLOIDAL_17"]))
+    assert {leaf.dtype for leaf in (one.flank, one.normal, one.curvature)} == {np.dtype(np.float32)}
+    circle, _, e, pins = numbers(design)
+    rounding = np.finfo(np.float32).eps * 2 * np.pi * (circle + pins * e)  # of t and zp t
+    np.testing.assert_allclose(one.flank, due.flank, rtol=0, atol=rounding)
+    design = DESIGNS["CYCLOIDAL_17"]
+    distance, _ = KDTree(pairs(path(design, np.linspace(0, 2 * np.pi, 400_001))[0])).query(flank(design))
+    np.testing.assert_allclose(distance, design.cycloid.pin_radius, atol=1e-9)
+    assert np.isfinite(flank(design.replace(cycloid=design.cycloid.replace(pin_radius=8.5 * mm)))).all()
+
+
 def test_points_for_jit_and_vmap():
     """A given number on each tooth, equally spaced along the path of the pin centres; of many designs at once."""
     cycloid = DESIGNS["CYCLOIDAL_17"].cycloid
@@ -213,6 +229,7 @@ def test_bad_input():
         (lambda: geometry.outline(design, disc=2), "disc = 2: must lie between 0 and 1"),
         (lambda: geometry.outline(catalogue.CORR), "geometry.outline: takes a design of kind"),
         (lambda: geometry.outline(design, chord=0.0), "chord = 0 m: must be positive"),
+        (lambda: geometry.outline(design, points=0), "points = 0: a tooth needs at least 3"),
         (lambda: geometry.outline(design, chord=1e-16), "chord = 1e-16 m: too small"),
         (lambda: jax.jit(lambda d: geometry.outline(d).flank)(design), "jit or vmap traces needs `points`"),
     ):

@@ -144,7 +144,7 @@ def _widen(tolerances: object, factor: float) -> object:
     """Multiply the half-width of all tolerances of a structure by a factor."""
 
     def wider(leaf: object) -> object:
-        return leaf.scaled(factor * float(leaf.half_width)) if isinstance(leaf, Tolerance) else leaf
+        return leaf.with_half_width(factor * float(leaf.half_width)) if isinstance(leaf, Tolerance) else leaf
 
     return jax.tree.map(wider, tolerances, is_leaf=lambda leaf: leaf is None or isinstance(leaf, Tolerance))
 

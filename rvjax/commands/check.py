@@ -9,11 +9,11 @@ from rvjax import models, study
 from rvjax.base.progress import begin
 from rvjax.commands import READING, Inputs, option, study_argument
 from rvjax.commands.cells import assumed_text, condition_text, limit_text, limits_data, limits_of
-from rvjax.commands.forecast import beyond_limits, choices, expected, level_lines
+from rvjax.commands.forecast import choices, doubts_of_unit, expected, level_lines
 from rvjax.levels import Choice
 from rvjax.outputs import Output
 from rvjax.render import Figure, Limits, Note, Number, Report, Table, Text
-from rvjax.status import MEANING, SUCCESS, Status
+from rvjax.status import Status
 from rvjax.study import KINDS, Study, facts_of, kind_of, numbers, shown
 from rvjax.units import with_unit
 
@@ -161,7 +161,7 @@ def _content(study: Study, found: Checked, source: str) -> list[Note | Table]:
 
 def _value(output: Output, value: float) -> str:
     unit, size = output.shown
-    return with_unit(value / size, unit) if math.isfinite(value) else "none"
+    return "none" if math.isnan(value) else "endless" if math.isinf(value) else with_unit(value / size, unit)
 
 
 def _cost(study: Study, field: str) -> list[object]:
@@ -189,9 +189,7 @@ def whole_line(study: Study, source: str) -> str:
 
 
 def _warnings(study: Study, found: Checked) -> list[str]:
-    failed = [f"the unit at the mid-points cannot be solved: {found.status.name} ({MEANING[found.status]})"]
-    lines = beyond_limits(study, found.values) if found.status in SUCCESS else failed
-    return study.doubts + study.inaccurate() + lines
+    return study.doubts + study.inaccurate() + doubts_of_unit(study, found.values, found.status)
 
 
 def _data(study: Study, found: Checked) -> dict[str, object]:

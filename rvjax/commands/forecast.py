@@ -1,7 +1,6 @@
 """Forecast of a computation: warnings, levels, seconds of a unit; phases, units and seconds of an allocation."""
 
 import dataclasses
-import math
 import sys
 from collections.abc import Mapping
 from typing import Any
@@ -11,8 +10,10 @@ from rvjax.base.progress import spelled
 from rvjax.commands import say, share_cores
 from rvjax.commands.cells import against_limit
 from rvjax.levels import Choice
+from rvjax.population import grows_from_lower
 from rvjax.response import BLOCK
-from rvjax.study import Study
+from rvjax.status import MEANING, SUCCESS, Status
+from rvjax.study import Study, scalars
 from rvjax.tolerances import COSTLY_UNITS, KEPT, QUICK, units_of
 from rvjax.units import with_unit
 
@@ -72,19 +73,27 @@ def forewarn(study: Study, time: str = "") -> None:
             say(f"rvjax: {line}", file=sys.stderr)
 
 
-def beyond_limits(study: Study, values: Mapping[str, float]) -> list[str]:
-    """A line for each limit that the unit at the mid-points does not meet.
+def doubts_of_unit(study: Study, values: Mapping[str, float], status: Status) -> list[str]:
+    """Warnings of the unit at the mid-points: it cannot be solved, or a line for each limit that it does not meet.
+
+    Finer tolerances lead to this unit, unless mid-points or numbers of the design move. Statistics, and limits that
+    half of the units may miss, have no such line.
 
     Args:
         study: with the limits.
         values: of the unit, SI.
+        status: of the unit.
     """
+    if status not in SUCCESS:
+        return [f"the unit at the mid-points cannot be solved: {status.name} ({MEANING[status]})"]
+    moves = ["mid-points"] if study.middles or any(map(grows_from_lower, scalars(study.tolerances).values())) else []
+    moves += ["numbers of the design"] if study.variables else []
+    unless = f" unless {' or '.join(moves)} move" if moves else ""
     lines = []
-    moving = " at these mid-points" if study.middles else ""
     for name, limits in study.requirements.items():
-        if limits.limits_values and math.isfinite(values[name]) and limits.margin(values[name]) > 0:
+        if limits.limits_values and getattr(limits, "target", 1.0) > 0.5 and limits.margin(values[name]) > 0:
             shown_value = against_limit(values[name], limits, study.output(name))
-            lines.append(f"{name}: {shown_value}, at the mid-points: no tolerance can meet this{moving}")
+            lines.append(f"{name}: {shown_value}, at the mid-points: no tolerance can meet this{unless}")
     return lines
 
 
@@ -96,7 +105,7 @@ YIELD_SWEEP = (0.9, 0.95, 0.99, 0.995, 0.999)
 
 # Counted in results of rv-40e, with moving mid-points and half-widths rounded to grades; of costly units in those of an
 # RV-20E with a moving mid-point and of rv-40e-whole.
-PASSES = {True: 90, False: 60}  # of a search and its cost curve over its sample, with and without moving mid-points
+PASSES = 60  # of a search and its cost curve over its sample: 30 to 90
 CERTIFICATES = {True: 5, False: 4}
 PASSES_A_POINT = 6  # of the cost curve
 COSTLY_PASSES, COSTLY_CERTIFICATES, COSTLY_POINT = {True: 7, False: 3}, 3, 6000
@@ -128,7 +137,7 @@ def solved_units(study: Study) -> dict[str, int]:
         }
     else:
         found = {
-            SEARCHING: PASSES[middles] * QUICK + CERTIFICATES[middles] * units_of(study.requirements, drawn),
+            SEARCHING: PASSES * QUICK + CERTIFICATES[middles] * units_of(study.requirements, drawn),
             CERTIFYING: drawn,
             SAMPLING: shown,
             PRICING: points * (PASSES_A_POINT * study.samples + shown_values(study)),

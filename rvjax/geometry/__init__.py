@@ -4,7 +4,7 @@ from rvjax.flank import (
     curvature as curvature,
     least_convex_radius as least_convex_radius,
 )
-from rvjax.geometry.outline import PARTS as PARTS, Circle, Outline, outline
+from rvjax.geometry.outline import PARTS as PARTS, Circle, Outline, flank_along as flank_along, outline
 from rvjax.geometry.outline_files import DRAWINGS as DRAWINGS, layer as layer
 from rvjax.geometry.outputs import Figures, contact_ratio as contact_ratio, figures
 from rvjax.geometry.ring import material as material, squared_pressure as squared_pressure

@@ -79,6 +79,8 @@ def outline(
     choose("part", part, PARTS)
     if not chord > 0:
         raise ValueError(f"chord = {chord:g} m: must be positive")
+    if points is not None and points < 3:
+        raise ValueError(f"points = {points}: a tooth needs at least 3")
     cycloid = design.cycloid
     if not 0 <= disc < cycloid.disc_count:
         raise ValueError(f"disc = {disc}: must lie between 0 and {cycloid.disc_count - 1}")
@@ -100,7 +102,7 @@ def outline(
     pitch = 2 * np.pi / cycloid.disc_teeth
     t = _places(plain, chord) if points is None else pitch / points * np.arange(points * cycloid.disc_teeth)
     turned = -2 * np.pi * disc / (cycloid.disc_count * cycloid.disc_teeth)
-    line, normal, curvature = _along(ground, t, turned)
+    line, normal, curvature = flank_along(ground, t, turned)
     return Outline(line, normal, curvature, tuple(circles), tuple(unknown))
 
 
@@ -122,9 +124,16 @@ def _flank_of(cycloid: CycloidStage, t: Array) -> Array:
 
 
 @jax.jit
-def _along(cycloid: CycloidStage, t: Scalar, turned: Scalar) -> tuple[Array, Array, Array]:
-    """Points (n, 2) of a flank, direction of its normal to the left (n,) and curvature (n,), turned by an angle."""
-    cycloid, t, turned = promote(cycloid, t, turned)
+def flank_along(cycloid: CycloidStage, t: Scalar, turned: Scalar = 0.0) -> tuple[Array, Array, Array]:
+    """Points (n, 2) of a flank, undercut or not, direction of its normal (n,) and curvature (n,), turned by an angle.
+
+    Args:
+        cycloid: numbers of the flank.
+        t: parameters (n,) of the path of the pin centres, rad.
+        turned: () rad, counter-clockwise.
+    """
+    cycloid = promote(cycloid)
+    t, turned = (jnp.asarray(x, jnp.asarray(cycloid.eccentricity).dtype) for x in (t, turned))
     ones = jnp.ones_like(t)
 
     def rate(t: Array) -> tuple[Array, Array]:
@@ -145,7 +154,7 @@ def _places(cycloid: CycloidStage, chord: float) -> np.ndarray:
     pitch = 2 * np.pi / teeth
     while True:
         t = pitch / count * np.arange(count + 1)
-        points, _, bend = (np.asarray(values) for values in _along(cycloid, t, 0.0))
+        points, _, bend = (np.asarray(values) for values in flank_along(cycloid, t))
         bend, length = np.abs(bend), np.hypot(*np.diff(points, axis=0).T) * (1 + 1e-3)
         sagitta = np.maximum(bend[1:], bend[:-1]) * length**2 / 8
         needed = 2 ** math.ceil(math.log2(max(4 * count * math.sqrt(sagitta.max() / chord), 1)))

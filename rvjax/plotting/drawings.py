@@ -11,6 +11,7 @@ from matplotlib.patches import Circle, Rectangle
 
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import CamRollerReducer, RVReducer
+from rvjax.geometry import flank_along
 from rvjax.mesh_force import largest_roller_radius, tooth_profile
 from rvjax.plotting.style import AFTER, BEFORE, LIMIT, PALETTE, new_axes
 from rvjax.records import PyTree
@@ -218,18 +219,14 @@ def crank_axes(design: RVReducer) -> list[np.ndarray]:
 
 
 def flank(design: RVReducer | CycloidalReducer) -> np.ndarray:
-    """Flank of a disc about its own centre, m (n, 2): parallel curve of a shortened epitrochoid.
+    """Flank of a disc about its own centre without modifications, m (n, 2): pins touch it.
 
     Args:
         design: with a `cycloid` stage.
     """
-    c, t = design.cycloid, np.linspace(0, 2 * np.pi, 60 * design.cycloid.pin_count)
-    # Path of a pin's centre in the frame of the disc, and its normal towards the disc.
-    path = c.pin_circle_radius * np.stack([np.cos(t), np.sin(t)]) - c.eccentricity * np.stack(
-        [np.cos(c.pin_count * t), np.sin(c.pin_count * t)]
-    )
-    slope = np.gradient(path, t, axis=1, edge_order=2)
-    return (path + c.pin_radius * np.stack([-slope[1], slope[0]]) / np.hypot(*slope)).T
+    plain = dict(equidistant_modification=0.0, shift_modification=0.0, profile_modification=None, shortening=None)
+    cycloid = design.cycloid.replace(**plain)
+    return np.asarray(flank_along(cycloid, np.linspace(0, 2 * np.pi, 60 * cycloid.pin_count))[0])
 
 
 def sense(axes: Axes, arc: np.ndarray, width: float) -> None:

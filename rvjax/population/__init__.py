@@ -45,6 +45,7 @@ from rvjax.population.tolerance import (
     DISTRIBUTIONS as DISTRIBUTIONS,
     Distribution as Distribution,
     Tolerance,
+    grows_from_lower as grows_from_lower,
 )
 
 __all__ = ["Correlation", "Estimate", "MeasuredColumn", "MeasuredParts", "Tolerance", "for_design", "it_width"]

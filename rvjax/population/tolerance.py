@@ -278,6 +278,11 @@ class Tolerance(Record):
         return (self.lower + self.upper) / 2
 
     @property
+    def centre(self) -> Scalar:
+        """Mid-point of the error: 0 of a vector, else that of the limits."""
+        return 0.0 if self.law.of_vectors else self.middle
+
+    @property
     def half_width(self) -> Scalar:
         """Half the distance of the limits, unit of the error."""
         return (self.upper - self.lower) / 2
@@ -346,3 +351,8 @@ class Tolerance(Record):
         if self.size is not None and concrete(self.size):
             it_width("IT6", self.size)
         self.law.check(self)
+
+
+def grows_from_lower(tolerance: Tolerance) -> bool:
+    """True if a larger half-width does not move the lower limit."""
+    return float(tolerance.scaled(2 * tolerance.half_width).lower) == float(tolerance.lower)

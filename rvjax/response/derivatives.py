@@ -7,7 +7,6 @@ so the iteration is compiled once.
 
 import functools
 from collections.abc import Callable, Mapping
-from math import prod
 from typing import Any, NamedTuple
 
 import jax
@@ -109,11 +108,6 @@ def _solved_together() -> int:
 def sloped_together() -> int:
     """Units of a call for gradients, on their devices."""
     return SLOPED.on(units_devices()[0].platform)
-
-
-def without_errors(population: Population, count: int) -> jax.Array:
-    """Errors (elements, count) of units without errors."""
-    return jnp.zeros((sum(prod(t.shape) for t in population.active.values()), count), jnp.result_type(float))
 
 
 def _unit(

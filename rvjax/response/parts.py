@@ -283,7 +283,7 @@ def status_without_errors(response: Response, population: Population) -> int:
 def unit_at_mid_points(response: Response, population: Population) -> tuple[dict[str, float], int]:
     """Values of the unit at the mid-points of all limits, vectors at 0, and its status, the worst of all parts."""
     active = population.active.values()
-    middles = [np.full(math.prod(t.shape), 0.0 if t.law.of_vectors else float(t.middle)) for t in active]
+    middles = [np.full(math.prod(t.shape), float(t.centre)) for t in active]
     return unit_of(response, population, np.concatenate([np.zeros(0), *middles]))
 
 

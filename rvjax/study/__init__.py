@@ -40,7 +40,7 @@ from rvjax.study.problem import (
 from rvjax.study.reader import EMBEDDED, embedded_names, load, parse_study, template as study_template
 from rvjax.study.response import CURVE as CURVE, Response as Response, refuse as refuse
 from rvjax.study.study import Study, StudyError
-from rvjax.study.tolerances import mid_points as mid_points, stated_by as stated_by
+from rvjax.study.tolerances import mid_points as mid_points, scalars as scalars, stated_by as stated_by
 from rvjax.study.values import (
     Metadata as Metadata,
     choice,

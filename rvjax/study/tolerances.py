@@ -163,6 +163,16 @@ def _text(value: float) -> str:
     return f"{value!r} m"
 
 
+def scalars(tolerances: Record) -> dict[str, Tolerance]:
+    """Tolerances of numbers, not of vectors, by error.
+
+    Args:
+        tolerances: a Tolerance or None in each field.
+    """
+    given = {f.name: getattr(tolerances, f.name) for f in dataclasses.fields(tolerances)}
+    return {name: one for name, one in given.items() if one is not None and not one.law.of_vectors}
+
+
 def mid_points(tolerances: Record, record: type[Record]) -> PyTree:
     """Errors of the unit at the mid-points of all limits; vectors have theirs at 0.
 
@@ -170,9 +180,7 @@ def mid_points(tolerances: Record, record: type[Record]) -> PyTree:
         tolerances: a Tolerance or None in each field.
         record: class of the errors.
     """
-    given = {f.name: getattr(tolerances, f.name) for f in dataclasses.fields(tolerances)}
-    scalars = {name: one for name, one in given.items() if one is not None and not one.law.of_vectors}
-    return record(**{name: np.float64(one.middle) for name, one in scalars.items()})
+    return record(**{name: np.float64(one.middle) for name, one in scalars(tolerances).items()})
 
 
 def refuse_unplaced(kind: models.Kind, outputs: Sequence[str], tolerances: Record) -> None:

@@ -16,7 +16,7 @@ from rvjax.base.files import versions
 from rvjax.base.progress import begin, progress_bar
 from rvjax.commands.allocate.full_model_check import Unlimited, Whole, unlimited, whole
 from rvjax.commands.budget.effects import curves_of
-from rvjax.commands.forecast import CERTIFYING, PRICING, SAMPLING, SEARCHING, beyond_limits, shown_values, targets
+from rvjax.commands.forecast import CERTIFYING, PRICING, SAMPLING, SEARCHING, doubts_of_unit, shown_values, targets
 from rvjax.population import Population, root_key
 from rvjax.records import PyTree
 from rvjax.render import numbered_folders
@@ -29,7 +29,7 @@ from rvjax.response import (  # chunks of the certificate's size: the response c
     status_without_errors,
     unit_at_mid_points,
 )
-from rvjax.status import SUCCESS, Status
+from rvjax.status import Status
 from rvjax.study import CURVE, Study, refuse
 from rvjax.tolerances import (
     Allocation,
@@ -123,7 +123,7 @@ def answer(
         memo: store of intermediate results, from which an interrupted run resumes.
         measure: measure the allocated units of a four-bar or lost-motion study on the whole reducer, and what a
             loaded study does not limit.
-        tell: takes a line on each limit that the unit at the mid-points does not meet, before the search.
+        tell: takes the warnings of the unit at the mid-points, a line each, before the search.
     """
     response = study.response()
     begin(SEARCHING)
@@ -132,7 +132,7 @@ def answer(
         refuse(status_without_errors(response, population))
         values, status = unit_at_mid_points(response, population)
         advance(1)
-    for line in beyond_limits(study, values) if Status(status) in SUCCESS else []:
+    for line in doubts_of_unit(study, values, Status(status)):
         tell(line)
     aims = [] if study.losses else targets(study)
     allocation = allocate(

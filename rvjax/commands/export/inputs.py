@@ -4,6 +4,7 @@ import dataclasses
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +21,9 @@ UNITS = 256
 """Random units of a statistic without --samples."""
 STATISTICS = {"median": 0.5, "p99": 0.99}
 ALL = "all"  # parts
+JOINT = ("unit", "rated_torque", "damping", "input_inertia", "output_inertia", "samples")
+OUTLINE = ("part", "disc", "chord", "result")
+"""Options of one kind of file."""
 
 
 @dataclass(kw_only=True)
@@ -100,6 +104,10 @@ class ExportInputs(Inputs):
         if self.file.exists():
             raise ValueError(f"{self.file}: exists already; name a new file")
         check_writable(self.file)
+        others = JOINT if self.drawing else OUTLINE
+        if unused := [flag_of(f.name) for f in dataclasses.fields(self) if f.name in others and self.given(f)]:
+            what = "an outline" if self.drawing else "a joint model"
+            raise ValueError(f"{unused[0]}: {self.file} is {what}, which has no such option")
         self.chord = um if self.chord is None else self.chord
         if self.drawing:
             self.study = study.load(self.source, solve=False, needs=("design",))
@@ -111,6 +119,14 @@ class ExportInputs(Inputs):
         self.torque = self._checked()
         self.errors = None if statistic else _errors(self.unit, self.study.design)
         self.units = self.samples or UNITS
+
+    def given(self, option: dataclasses.Field[Any]) -> bool:
+        """True if an option has another value than its default.
+
+        Args:
+            option: a field.
+        """
+        return bool(getattr(self, option.name) != option.default)
 
     def _checked(self) -> float:
         """The rated torque; the design and the options allow a joint model."""

@@ -6,12 +6,14 @@ import jax
 import numpy as np
 
 import rvjax
-from rvjax.commands.compare.results import answered
+from rvjax.commands.compare.results import answered, result
 from rvjax.commands.export.inputs import ALL, ExportInputs
 from rvjax.geometry import DRAWINGS, PARTS, Outline, layer, outline
 from rvjax.render import Note, Report, Table, Text
 from rvjax.study import StudyError, mid_points, naming
 from rvjax.units import mm, um
+
+CERTIFIED = ("OPTIMAL", "SUBOPTIMAL", "MAX_STEPS")
 
 
 def outlines(inputs: ExportInputs) -> dict[str, Outline]:
@@ -28,11 +30,8 @@ def outlines(inputs: ExportInputs) -> dict[str, Outline]:
     if inputs.result is not None:
         other, tolerances = answered(inputs.result)
         leaves, own = jax.tree.leaves(design), jax.tree.leaves(other.design)
-        if (
-            type(other.design) is not type(design)
-            or len(own) != len(leaves)
-            or not all(map(np.array_equal, leaves, own))
-        ):
+        alike = str(jax.tree.structure(design)) == str(jax.tree.structure(other.design))  # counts and kind
+        if not (alike and all(map(np.array_equal, leaves, own))):
             raise StudyError(f"--result {inputs.result}: is the result of another design than {study.name}")
         errors = mid_points(tolerances, design.error_record)
     wanted = PARTS if inputs.part == ALL else (inputs.part,)
@@ -54,7 +53,10 @@ def report(inputs: ExportInputs, found: dict[str, Outline]) -> Report:
     """
     study = inputs.study
     digest = hashlib.sha256(study.text.encode()).hexdigest()[:12]
-    sizes = "the design" if inputs.result is None else f"the mid-points of {inputs.result}"
+    sizes = "the design"
+    if inputs.result is not None:
+        status = str(result(inputs.result)["status"])
+        sizes = f"the mid-points of {inputs.result}, {status}{'' if status in CERTIFIED else ': not certified'}"
     missing = [f"{part}: {what}" for part, one in found.items() for what in one.unknown]
     about = [
         f"Outlines of {study.name} (study {digest}), rvjax {rvjax.__version__}; millimetres.",

@@ -18,7 +18,7 @@ import numpy as np
 
 from rvjax.commands.allocate import Answer
 from rvjax.commands.report.region import Columns, Parameter, Sample, fitted
-from rvjax.population import Population, root_key
+from rvjax.population import Population, grows_from_lower, root_key
 from rvjax.response import BLOCK, Part, is_costly, numbers_of, parts
 from rvjax.tolerances import Estimate, Limits, Statistics, Tolerance, monte_carlo
 
@@ -174,11 +174,6 @@ def surrogate(
 def placed(tolerance: Tolerance) -> float:
     """Place of the limits: mid-point, or the lower limit if the distribution begins there."""
     return float(tolerance.lower if grows_from_lower(tolerance) else tolerance.middle)
-
-
-def grows_from_lower(tolerance: Tolerance) -> bool:
-    """True if a larger half-width does not move the lower limit."""
-    return float(tolerance.scaled(2 * tolerance.half_width).lower) == float(tolerance.lower)
 
 
 def _parameters(answer: Answer) -> list[Parameter]:

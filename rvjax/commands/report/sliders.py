@@ -12,7 +12,8 @@ from markupsafe import Markup
 
 from rvjax.base.words import words
 from rvjax.commands.allocate import Answer
-from rvjax.commands.report.response_surface import COMPARED, Surrogate, grows_from_lower, placed
+from rvjax.commands.report.response_surface import COMPARED, Surrogate, placed
+from rvjax.population import grows_from_lower
 from rvjax.render import Block, Note, Section, micro
 from rvjax.study import stated_by, study_template
 from rvjax.tolerances import Cost, CpkAtLeast, Exponential, Limits, MeanWithin, ReciprocalPower, Requirement, SdAtMost
