@@ -218,3 +218,5 @@ def test_mid_points_are_sizes_of_the_parts():
     tolerances = tolerances.replace(throw=tolerances.throw.replace(lower=-1e-6, upper=5e-6))
     found = study.mid_points(tolerances, rvjax.CycloidalErrors)
     assert float(found.throw) == pytest.approx(2e-6) and float(found.hole_radius) == 0
+    whole = study.mid_points(study.load("cycloidal-17", solve=False).tolerances, rvjax.CycloidalErrors)
+    assert np.all(whole.hole_position == 0) and float(whole.bearing_clearance) == pytest.approx(10e-6)  # a vector

@@ -224,7 +224,7 @@ def flank(design: RVReducer | CycloidalReducer) -> np.ndarray:
     Args:
         design: with a `cycloid` stage.
     """
-    plain = dict(equidistant_modification=0.0, shift_modification=0.0, profile_modification=None, shortening=None)
+    plain = dict(equidistant_modification=0.0, shift_modification=0.0, profile_modification=None)
     cycloid = design.cycloid.replace(**plain)
     return np.asarray(flank_along(cycloid, np.linspace(0, 2 * np.pi, 60 * cycloid.pin_count))[0])
 
