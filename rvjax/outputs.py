@@ -137,6 +137,7 @@ class Output:
         needs: conditions without a default that it needs, by name.
         read_in: unit in which a person reads it; by default that of `rvjax.units`.
         below_zero: what a negative value of a real unit means, where it is no ordinary one.
+        rejects: verb for units with a negative value, such as "jam".
         refuse: (design, conditions) -> None; raises ValueError, one line that names the key, where these conditions
             cannot give it.
         exact: output of a costlier model that is the same quantity of the whole reducer, or None.
@@ -150,6 +151,7 @@ class Output:
     needs: tuple[str, ...] = ()
     read_in: str | None = None
     below_zero: str = ""
+    rejects: str = ""
     refuse: Callable[[Any, Any], None] | None = None
     exact: str | None = None
     costly: bool | None = None

@@ -122,8 +122,9 @@ def undrawn(monkeypatch):
 @pytest.fixture
 def unsolved(monkeypatch):
     """`rvjax check` without the unit at the mid-points, ten seconds of compilation: for tests of its other lines."""
-    none = lambda self: (dict.fromkeys(self.requirements, float("nan")), Status.CONVERGED)  # noqa: E731
+    none = lambda self, _: (dict.fromkeys(self.requirements, float("nan")), Status.CONVERGED)  # noqa: E731
     monkeypatch.setattr(Study, "at_mid_points", none)
+    monkeypatch.setattr("rvjax.commands.check._turning", lambda _: [])
 
 
 @pytest.fixture

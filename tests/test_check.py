@@ -281,7 +281,7 @@ def test_the_unit_at_the_mid_points_stands_beside_its_limits(tmp_path, capsys):
 
 
 def test_a_unit_at_the_mid_points_that_cannot_be_solved_is_a_warning(monkeypatch, capsys):
-    failed = lambda self: (dict.fromkeys(self.requirements, math.nan), Status.CONTACT_OVERLOAD)  # noqa: E731
+    failed = lambda self, _: (dict.fromkeys(self.requirements, math.nan), Status.CONTACT_OVERLOAD)  # noqa: E731
     monkeypatch.setattr(study.Study, "at_mid_points", failed)
     assert cli.main(["check", "corr", "--format", "json"]) == 0
     found = json.loads(capsys.readouterr().out)

@@ -24,7 +24,7 @@ from rvjax.outputs import Observation
 from rvjax.plotting import new_axes
 from rvjax.records import IN_ERROR_UNIT, Scalar, field, record
 from rvjax.study.goals import refuse_variable
-from rvjax.study.kinds.kind import Following
+from rvjax.study.kinds.scaling import Following
 from rvjax.tolerances import sample
 from rvjax.tolerances.allocation import cost
 from rvjax.units import arcsec, um

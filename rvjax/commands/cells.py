@@ -45,13 +45,15 @@ def limits_of(study: Study, field: str, tolerance: Tolerance) -> Zone:
     return Zone(*ends, stated=form.stated, drawn=drawn)
 
 
-def limit_text(requirement: Limits, output: Output) -> str:
-    """The limits of a response, such as "<= 1 arcmin".
+def limit_text(requirement: Limits | None, output: Output) -> str:
+    """The limits of a response, such as "<= 1 arcmin"; "" where there are none.
 
     Args:
         requirement: with its limits.
         output: what the response is.
     """
+    if requirement is None:
+        return ""
     unit, size = output.shown
     bounds = ((">=", requirement.lower), ("<=", requirement.upper))
     return " and ".join(f"{sign} {with_unit(limit / size, unit)}" for sign, limit in bounds if math.isfinite(limit))
@@ -104,6 +106,21 @@ def met_text(requirement: Limits, verdict: Verdict, samples: int) -> str:
         return "met"
     unsure = requirement.holds(Estimate(value, 0.0, value, value)) and not requirement.holds(one)
     return f"not shown with {samples:,} units" if unsure else "not met"
+
+
+def rejects_texts(study: Study, verdicts: Mapping[str, Verdict]) -> dict[str, str]:
+    """A line for each response with a limit of zero on what the units below it do, such as "1.2 % of the units jam".
+
+    Args:
+        study: with the limits.
+        verdicts: by response.
+    """
+    lines = {}
+    for name, verdict in verdicts.items():
+        verb = study.output(name).rejects
+        if verb and verdict.kind == "share" and study.requirements[name].lower == 0:
+            lines[name] = f"{100 * (1 - verdict.estimate.value):.3g} % of the units {verb} ({name} below 0)"
+    return lines
 
 
 def binding(found: Allocation, name: str) -> float:

@@ -5,6 +5,8 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from rvjax import models, study
 from rvjax.base.progress import begin
 from rvjax.commands import READING, Inputs, option, study_argument
@@ -12,9 +14,11 @@ from rvjax.commands.cells import assumed_text, condition_text, limit_text, limit
 from rvjax.commands.forecast import choices, doubts_of_unit, expected, level_lines
 from rvjax.levels import Choice
 from rvjax.outputs import Output
+from rvjax.population import Population, root_key
 from rvjax.render import Figure, Limits, Note, Number, Report, Table, Text
+from rvjax.response import respond_units
 from rvjax.status import Status
-from rvjax.study import KINDS, Study, facts_of, kind_of, numbers, shown
+from rvjax.study import KINDS, Response, Study, facts_of, kind_of, numbers, shown
 from rvjax.units import with_unit
 
 
@@ -52,6 +56,7 @@ class Checked:
         levels: of each response.
         values: required outputs of the unit at the mid-points of all tolerances, SI.
         status: of this unit.
+        turning: lines on the share that jams; of drives.
     """
 
     facts: list[tuple[str, str]]
@@ -59,9 +64,11 @@ class Checked:
     levels: dict[str, Choice]
     values: dict[str, float]
     status: Status
+    turning: list[str]
 
 
 SOLVING = "unit at the mid-points"
+FIT, TRIED = "fit_clearance", 1024  # output below which a unit jams; units for its share
 
 
 def phases(inputs: CheckInputs) -> tuple[str, ...]:
@@ -77,8 +84,20 @@ def compute(inputs: CheckInputs) -> Checked:
     """Compute the derived values of a study."""
     study = inputs.study
     begin(SOLVING)
-    values, status = study.at_mid_points() if study.requirements else ({}, Status.CONVERGED)
-    return Checked(list(facts_of(study.design)), _magnitudes(study), choices(study), values, status)
+    values, status = study.at_mid_points(study.further) if study.requirements else ({}, Status.CONVERGED)
+    facts, turning = list(facts_of(study.design)), _turning(study)
+    return Checked(facts, _magnitudes(study), choices(study), values, status, turning)
+
+
+def _turning(study: Study) -> list[str]:
+    """Lines on the share that jams, from the least clearances of random units: no equilibrium is solved."""
+    turning = kind_of(study.design).turning
+    if turning is None or not study.fields:
+        return []
+    response = Response.of(study.design, (FIT,), study.conditions)
+    found, status = respond_units(response, Population.of(study.tolerances), root_key(study.seed), 0, count=TRIED)
+    good = np.asarray(status) == Status.CONVERGED
+    return turning(study.design, study.tolerances, np.asarray(found[FIT])[good]) if good.any() else []
 
 
 def _magnitudes(study: Study) -> list[tuple[str, str, str | None]]:
@@ -132,9 +151,9 @@ def _content(study: Study, found: Checked, source: str) -> list[Note | Table]:
         "requirements",
         [Text("requirement"), Text("limit"), Text("at mid-points"), Text("target"), Text("meaning", wraps=True)],
         [
-            [name, limit_text(one, output), _value(output, found.values[name]), one.text(), output.meaning]
-            for name, one in study.requirements.items()
-            for output in (study.output(name),)
+            [name, limit_text(one, output), _value(output, value), one.text() if one else "", output.meaning]
+            for name in dict.fromkeys((*study.requirements, *found.values))
+            for value, one, output in ((found.values[name], study.requirements.get(name), study.output(name)),)
         ],
     )
     costs = Table(
@@ -150,6 +169,7 @@ def _content(study: Study, found: Checked, source: str) -> list[Note | Table]:
         magnitudes,
         tolerances,
         *([requirements] if study.requirements else []),
+        Note("\n".join(found.turning)),
         *([costs] if study.costs else []),
         Note("\n".join(["How it will be computed:", *how])),
         *([Note(f"Assumed (not published): {assumed_text(study)}")] if study.assumed else []),
@@ -219,6 +239,8 @@ def _data(study: Study, found: Checked) -> dict[str, object]:
             | {name: float(getattr(cost, name)) for name in ("finest", "coarsest")}
             for field, cost in study.costs.items()
         },
+        "at_mid_points": found.values,
+        "turning": found.turning,
         "levels": {
             name: {"level": choice.level, "error": choice.bound, "unit": study.output(name).unit, "why": choice.why}
             for name, choice in found.levels.items()

@@ -26,6 +26,7 @@ from rvjax.study import (
     comments,
     fields_of_kind,
     given_numbers,
+    given_paths,
     in_unit,
     kind_of,
     load,
@@ -47,12 +48,15 @@ class InitInputs(Inputs):
       rvjax init mine.toml
       rvjax init mine.toml --base rv-80e
       rvjax init mine.toml --base drawing.toml
+      rvjax init mine.toml --base cycloidal-17 --process wire-cut
       rvjax init mine.toml --base rv-80e --model four-bar
       rvjax init mine.toml --design
 
     A drawing is a TOML file with [design]: kind = "rv", involute.sun_teeth, involute.planet_teeth, involute.module,
     cycloid.disc_teeth, cycloid.pin_count, cycloid.eccentricity, cycloid.pin_circle_radius, cycloid.pin_radius,
     cranks.count; every other number of the design, and rated_torque in [conditions], may be given too.
+    That of a drive has kind = "cycloidal", cycloid.disc_teeth, cycloid.eccentricity, cycloid.pin_circle_radius,
+    cycloid.pin_radius, output.count, output.circle_radius, output.pin_radius.
     """
 
     file: str = argument("new file", "FILE.toml", ends=".toml")
@@ -66,6 +70,11 @@ class InitInputs(Inputs):
         "loaded: every pin, bearing life and forces (default); four-bar: cranks and bores only",
         default="loaded",
         choices=["loaded", "four-bar"],
+    )
+    process: str = option(
+        "of the parts of a drive: milled, wire-cut, printed, ground (default: the usual one of the drive)",
+        "PROCESS",
+        default="",
     )
     design: bool = switch(
         "a study for rvjax design: numbers of the design with bounds, prices and limits, on an RV-40E"
@@ -107,7 +116,11 @@ class Written:
 
 def compute(inputs: InitInputs) -> Written:
     """Text of the new study."""
-    return Written(with_variables(), "four-bar", inputs.base) if inputs.design else written(inputs.base, inputs.model)
+    return (
+        Written(with_variables(), "four-bar", inputs.base)
+        if inputs.design
+        else written(inputs.base, inputs.model, inputs.process)
+    )
 
 
 def with_variables() -> str:
@@ -120,17 +133,18 @@ def with_variables() -> str:
     return head + ABOUT + text[text.index("[design]") :]
 
 
-def written(base: str, model: str = "loaded") -> Written:
+def written(base: str, model: str = "loaded", process: str = "") -> Written:
     """Write a study of a reducer, with all its values.
 
     Args:
         base: a known reducer, or a TOML file with the table [design].
         model: "loaded" or "four-bar"; an oscillatory roller reducer has a single one.
+        process: that makes the parts; "" for the usual one.
 
     Raises:
-        ValueError: an unknown name, or a file that gives no reducer.
+        ValueError: an unknown name, a process that such a reducer has not, or a file that gives no reducer.
     """
-    given = known(base)
+    given = known(base, process)
     starts = given.kind.starts
     model = model if model in starts else next(iter(starts))
     start = starts[model]
@@ -138,7 +152,7 @@ def written(base: str, model: str = "loaded") -> Written:
     given = replace(given, numbers=own)
     text = (EMBEDDED / f"{start.study}.toml").read_text("utf-8")
     numbers = {**own, **{path: item.value for path, item in more.items()}}
-    rest = start.tables(text[text.index("[conditions]") :], numbers, given.torque)
+    rest = start.tables(text[text.index("[conditions]") :], numbers, given)
     return Written(_joined(given, more, start, rest), model, given.name, _warnings(given, more))
 
 
@@ -168,23 +182,26 @@ def _warnings(given: Known, more: Mapping[str, Assumed]) -> tuple[str, ...]:
 FILE_PARTS = {"design", "conditions", "about"}
 
 
-def known(base: str) -> Known:
+def known(base: str, process: str = "") -> Known:
     """A known reducer by its name, or the reducer of a drawing.
 
     Args:
         base: name, or path of a TOML file with a table [design].
+        process: that makes the parts; "" for the usual one.
 
     Raises:
         ValueError: an unknown name, a wrong value, or a number that is missing; one line.
     """
     if base.endswith(".toml"):
-        return _drawn(Path(base))
-    design: PyTree = BASES[choice(base, BASES, "--base")]
-    numbers = {path: value for path, value, _ in walk(design)}
-    said = dict.fromkeys(catalogue.assumed(base), "assumed")
-    kind = kind_of(design)
-    torque = Assumed(kind.rated[base], "rated torque of the catalogue") if base in kind.rated else None
-    return Known(base, kind, numbers, said, torque)
+        found = _drawn(Path(base))
+    else:
+        design: PyTree = BASES[choice(base, BASES, "--base")]
+        numbers = {path: value for path, value, _ in walk(design)}
+        found = Known(base, kind_of(design), numbers, dict.fromkeys(catalogue.assumed(base), "assumed"), None)
+    if process and not found.kind.processes:
+        raise ValueError(f"--process {process}: tolerances of {found.kind.name} follow its size alone")
+    found = replace(found, process=process and choice(process, found.kind.processes, "--process"))
+    return found if found.torque else replace(found, torque=found.kind.torque(found))
 
 
 def _drawn(path: Path) -> Known:
@@ -212,8 +229,8 @@ def _drawn(path: Path) -> Known:
             raise ValueError(f"[design] lacks {'; '.join(missing)}")
         said = dict.fromkeys(catalogue.assumed(str(base)), "assumed") if base else {}
         said |= comments(text)
-        torque = _torque(subtable(tables, "conditions")) or kind.torque(numbers)
-        return Known(str(path), kind, numbers, said, torque, True, tuple(sorted(set(tables) - FILE_PARTS)))
+        torque, unread = _torque(subtable(tables, "conditions")), tuple(sorted(set(tables) - FILE_PARTS))
+        return Known(str(path), kind, numbers, said, torque, True, unread, stated=frozenset(given_paths(table)))
 
 
 def _lacking(kind: Kind, numbers: Mapping[str, object]) -> list[str]:

@@ -312,7 +312,8 @@ OTHERS = (
         | {
             "fit_clearance": Output(
                 "m", "least clearance of pins and holes over the span, discs and carrier turned to where it is largest",
-                Reading((_fit,), _least), below_zero="interference, the drive jams or is preloaded", costly=False,
+                Reading((_fit,), _least), below_zero="interference, the drive jams or is preloaded", rejects="jam",
+                costly=False,
             )
         },
         cases=None,

@@ -11,7 +11,12 @@ from rvjax.catalogue import (
 )
 from rvjax.measured import Conditions, Loop, Measured, Run, read as read_measured
 from rvjax.study.bench import order_name
-from rvjax.study.design import comments as comments, given_numbers as given_numbers, is_assumed as is_assumed
+from rvjax.study.design import (
+    comments as comments,
+    given_numbers as given_numbers,
+    given_paths as given_paths,
+    is_assumed as is_assumed,
+)
 from rvjax.study.identification import NUISANCES, field_unit, part_orders as part_orders
 from rvjax.study.kinds import (
     KINDS as KINDS,

@@ -5,7 +5,7 @@ Title, author and revision of a study, for the head of reports.
 
 import dataclasses
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from rvjax import models
@@ -194,9 +194,33 @@ class Study:
         with naming(self.name):
             check_nominal(self.response(solve=False), self.design.error_record())
 
-    def at_mid_points(self) -> tuple[dict[str, float], Status]:
-        """Required outputs, SI, of the unit whose errors are the mid-points of their tolerances, and its status."""
-        found = outcome_of(self.response(solve=False), mid_points(self.tolerances, self.design.error_record))
+    @property
+    def further(self) -> tuple[str, ...]:
+        """Usual outputs of such a reducer that the study does not limit, and that its numbers allow."""
+        return tuple(
+            name for name in kind_of(self.design).usual if name not in self.requirements and self._allows(name)
+        )
+
+    def _allows(self, name: str) -> bool:
+        try:
+            Response.of(self.design, (name,), self.conditions)
+        except ValueError:
+            return False
+        return True
+
+    def at_mid_points(self, further: Sequence[str] = ()) -> tuple[dict[str, float], Status]:
+        """Outputs, SI, of the unit whose errors are the mid-points of their tolerances, and its status.
+
+        Args:
+            further: outputs beyond the required ones.
+        """
+        response = self.response(solve=False)
+        if further:
+            outputs = (*response.outputs, *further)
+            response = Response.of(
+                self.design, outputs, self.conditions, self.choices(), followed_bounds(self.tolerances)
+            )
+        found = outcome_of(response, mid_points(self.tolerances, self.design.error_record))
         return {name: float(value) for name, value in found.value.items()}, Status(int(worst(found.status)))
 
     @functools.cached_property

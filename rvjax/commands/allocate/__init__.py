@@ -40,7 +40,7 @@ from rvjax.commands.allocate.tables import (
     tolerance_tables as tolerance_tables,
 )
 from rvjax.commands.budget.effects import influence_tables
-from rvjax.commands.cells import assumed_text, failures_text, limit_text, searched_texts, share
+from rvjax.commands.cells import assumed_text, failures_text, limit_text, rejects_texts, searched_texts, share
 from rvjax.commands.forecast import expected, forewarn, phases_of, read_study, seconds_of_units, warned
 from rvjax.life import dynamic_rating
 from rvjax.outputs import Output
@@ -162,9 +162,11 @@ def limits_of_the_answer(answer: Answer) -> list[str]:
     lines += [f"Inaccurate: {line}" for line in study.inaccurate(answer.allocation.tolerances)]
     lines += [f"Assumed (not published): {assumed_text(study)}"] if study.assumed else []
     lines += searched_texts(study, answer.allocation.tolerances)
+    rejects = rejects_texts(study, answer.allocation.certificate.verdicts)
+    lines += rejects.values()
     for name, values in answer.after.values.items():
         below = float(np.mean(np.asarray(values) < 0))
-        if (meaning := study.output(name).below_zero) and below > 0:
+        if (meaning := study.output(name).below_zero) and below > 0 and name not in rejects:
             lines.append(f"Negative {name} in {100 * below:.3g} % of the units: {meaning}")
     lines += [f"Not modelled: {line}" for line in study.left_out]
     return lines + ([whole_text(answer.whole, study)] if answer.whole is not None else [])

@@ -25,7 +25,7 @@ from rvjax.commands import (
     units_placed,
     whole_number,
 )
-from rvjax.commands.cells import evaluated, failures_text, met_text, searched_texts, share
+from rvjax.commands.cells import evaluated, failures_text, met_text, rejects_texts, searched_texts, share
 from rvjax.commands.forecast import forewarn, unit_seconds
 from rvjax.commands.montecarlo import batch
 from rvjax.render import Column, Note, Number, Quantity, Report, Table, Text
@@ -256,7 +256,7 @@ def _verdicts(found: Statistics, study: Study) -> list[str]:
             value = evaluated(verdict, study.output(name)).text()
             met = met_text(study.requirements[name], verdict, found.samples)
             lines.append(f"{name}: {verdict.wanted}: {value}, {met}")
-    lines += searched_texts(study, study.tolerances)
+    lines += [*rejects_texts(study, found.verdicts or {}).values(), *searched_texts(study, study.tolerances)]
     if found.joint_yield is not None:
         lines.append(f"all requirements at once {share(found.joint_yield).text()}")
     return lines

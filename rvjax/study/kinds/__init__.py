@@ -15,11 +15,7 @@ from rvjax.study.kinds.kind import (
     Drawing as Drawing,
     Kind as Kind,
     Known as Known,
-    Law as Law,
     Start as Start,
-    number_at as number_at,
-    outside as outside,
-    split as split,
 )
 from rvjax.study.kinds.rv_facts import (
     DERIVED_FROM,
@@ -36,6 +32,7 @@ from rvjax.study.kinds.rv_facts import (
     refuse,
 )
 from rvjax.study.kinds.rv_starts import NEEDED, STARTS, rated_torque
+from rvjax.study.kinds.scaling import Law as Law, number_at as number_at, outside as outside, split as split
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

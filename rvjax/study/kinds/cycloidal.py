@@ -2,34 +2,31 @@
 
 import itertools
 import math
-import re
 from collections.abc import Collection, Iterator
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
-from rvjax.catalogue import sharp_from, shown
+import numpy as np
+
+from rvjax.catalogue import sharp_from, shown, walk
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.mounting import unit_errors
 from rvjax.records import Scalar
-from rvjax.study.kinds.kind import Assumed, Drawing, Kind, Numbers, Start
-from rvjax.study.values import in_unit
+from rvjax.study.kinds.drive_starts import FLANK, HOLE, NEEDED, PROCESSES, RATED, START, free_play, rated_torque
+from rvjax.study.kinds.kind import Drawing, Kind
+from rvjax.units import arcmin
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-RATED = {"cycloidal-15": 5.0, "cycloidal-17": 8.8, "cycloidal-29": 116.0}
-"""Rated torque, N m."""
-PARTS = ("cycloid", "output", "stiffness", "contact", "bearings")
 INTERFERENCE = 0.1  # of the eccentricity; a smaller hole is a mistake in its diameter
 FAR_CLEARANCE = 1 / 25  # of the eccentricity; up to it the angles of the equilibrium hold within 1 %
 CONFORMAL = 10.0  # pin radius over eccentricity; beyond, pin and hole are too alike for the Hertzian theory
 OF_CURVE = ("loaded_transmission_error", "second_transmission_error", "unloaded_transmission_error", "mean_shift")
 """Outputs that are read from the curve of a span at its samples."""
+USUAL = ("backlash", "torsional_stiffness", "turn_pin_pressure", "hole_pressure", "efficiency")
+TURNING = 0.99  # share of units for which clearances are recommended
 HARMONICS = 3  # of the passing holes and pins
-HEAD = """# A study of the loaded drive to change, with the numbers of the {name}: replace them by those of your
-# drawing, then run rvjax check on this file. Tolerances, costs and limits are those of the study cycloidal-17.
-
-"""
 
 
 def facts(design: CycloidalReducer) -> Iterator[tuple[str, str]]:
@@ -194,11 +191,29 @@ def inaccurate(design: CycloidalReducer, tolerances: CycloidalErrors) -> list[st
     ]
 
 
-def _with_torque(text: str, numbers: Numbers, torque: Assumed | None) -> str:
-    """Tables of the example with the rated torque of this drive."""
-    if torque is None:
-        return text
-    return re.sub(r'(output_torque|rated_torque) = "[^"]*"', rf'\1 = "{in_unit(torque.value, "N m")}"', text)
+def turning(design: CycloidalReducer, tolerances: Any, fits: np.ndarray) -> list[str]:
+    """Share of units that jam, and the clearances with which 99 % turn.
+
+    Flanks and holes with the same change of their radial clearance change the least clearance of every unit by as much,
+    because it is the largest s that all gaps have at one position (docs/models/single_stage.md, Eq. 15).
+
+    Args:
+        design: the drive.
+        tolerances: of its errors.
+        fits: least clearances of random units, m.
+    """
+    jam = f"{100 * float(np.mean(fits < 0)):.3g} % of {len(fits):,} units jam with these tolerances"
+    change = -float(np.quantile(fits, 1 - TURNING))
+    numbers = {path: value for path, value, _ in walk(design)}
+    flank, hole = numbers[FLANK] + change, numbers[HOLE] + 2 * change
+    bearing = tolerances.bearing_clearance
+    loose = 0.0 if bearing is None else float(bearing.middle)
+    before, after = (free_play({**numbers, **other}, loose) for other in ({}, {FLANK: flank, HOLE: hole}))
+    more = f"{abs(after - before) / arcmin:.3g} arcmin {'more' if after > before else 'less'} backlash"
+    return [
+        f"{jam}; {100 * TURNING:g} % turn with equidistant_modification {shown(flank, 'm')} and hole_clearance "
+        f"{shown(hole, 'm')}, which have {more}"
+    ]
 
 
 def _caption(design: CycloidalReducer) -> str:
@@ -231,10 +246,15 @@ KIND = Kind(
     doubts=doubts,
     coarse=coarse,
     inaccurate=inaccurate,
+    usual=USUAL,
+    turning=turning,
     rated=RATED,
     orders=attrgetter("orders"),
     multiples=attrgetter("multiples"),
     unit_errors=unit_errors,
     drawing=Drawing(_drawn, _caption, _compared, "Section of the drive, drawn to scale, before and after"),
-    starts={"loaded": Start("cycloidal-17", PARTS, HEAD, tables=_with_torque)},
+    starts={"loaded": START},
+    needed=NEEDED,
+    torque=rated_torque,
+    processes=tuple(PROCESSES),
 )

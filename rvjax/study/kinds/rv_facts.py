@@ -20,7 +20,7 @@ from rvjax.designs import InvoluteStage, RollerBearing, RVReducer
 from rvjax.geometry import contact_ratio
 from rvjax.life import dynamic_rating, static_rating
 from rvjax.records import PyTree, Scalar
-from rvjax.study.kinds.kind import Following, Law, number_at
+from rvjax.study.kinds.scaling import Following, Law, number_at
 from rvjax.study.values import Toml, subtable
 from rvjax.units import rpm
 

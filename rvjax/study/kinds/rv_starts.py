@@ -16,8 +16,10 @@ from rvjax.designs import InvoluteStage, RollerBearing, RVReducer
 from rvjax.life import static_rating
 from rvjax.population import it_width
 from rvjax.records import Scalar
-from rvjax.study.kinds.kind import Assumed, Known, Law, Numbers, Start, number_at, outside
+from rvjax.study.kinds.kind import Assumed, Known, Numbers, Start
 from rvjax.study.kinds.rv_facts import AXIAL, FOLLOWING, KNOWN_REDUCERS, LAWS, NAMES, RATED, SIZES
+from rvjax.study.kinds.scaling import Law, number_at, outside
+from rvjax.study.kinds.tables import rewritten, scaled_line, stated, with_torque
 from rvjax.study.values import in_unit
 from rvjax.units import mm, um
 
@@ -36,9 +38,6 @@ MODIFICATIONS = ("cycloid.equidistant_modification", "cycloid.shift_modification
 STIFFNESS = "cranks.bearing_stiffness"
 IN_DISC = "bearings.arm."
 EQUIDISTANT = "equidistant_modification"
-_LINE = re.compile(
-    r'(?P<key>\w+)(?P<gap> *= *)"(?P<word>diametral )?(?P<number>-?[\d.]+) (?P<unit>[^"]+)"(?: *# *(?P<said>.*))?'
-)
 RULE = """# Tolerances, costs and process ranges are assumed. They are those of the study rv-40e-whole in proportion to
 # the tolerance unit of ISO 286, i = 0.45 D^(1/3) + 0.001 D, of the size that each belongs to (in brackets).
 # Angles and prices stay.
@@ -175,9 +174,15 @@ def _tight(numbers: Numbers) -> str:
     return f"bearings.arm: {shown(outer, 'm')} across the rollers, but the disc has {shown(least, 'm')} there (assumed)"
 
 
-def rated_torque(numbers: Numbers) -> Assumed:
-    """Rated torque at 15 r/min, N m, from the nearest size of a catalogue."""
-    law, ring = _law_of("rated_torque"), numbers[RING]
+def rated_torque(given: Known) -> Assumed:
+    """Rated torque at 15 r/min, N m: of a known size, else from the nearest size of a catalogue.
+
+    Args:
+        given: the reducer as its source gives it.
+    """
+    if given.name in RATED:
+        return Assumed(RATED[given.name], "rated torque of the catalogue")
+    law, ring = _law_of("rated_torque"), given.numbers[RING]
     assert law is not None
     name = _nearest(ring, list(OWN))
     donor = OWN[name]
@@ -244,10 +249,9 @@ def _of_four_bars(given: Known, example: RVReducer) -> tuple[Numbers, dict[str, 
     return given.numbers, found | {path: Assumed(number_at(example, path), "assumed") for path in lacking}
 
 
-def _with_torque(text: str, numbers: Numbers, torque: Assumed | None) -> str:
-    if torque is None:
-        return text
-    return re.sub(r'output_torque = "[^"]*"', f'output_torque = "{in_unit(torque.value, "N m")}"', text)
+def _with_torque(text: str, numbers: Numbers, given: Known) -> str:
+    """Tables of the four-bar study with the rated torque of this reducer."""
+    return rewritten(text, lambda path, match: with_torque(path, match, given.torque))
 
 
 def _unread(numbers: Numbers) -> str:
@@ -255,67 +259,46 @@ def _unread(numbers: Numbers) -> str:
     return UNREAD.format(k1=float(e * pins / ring))
 
 
-def _tables(text: str, numbers: Numbers, torque: Assumed | None) -> str:
+def _tables(text: str, numbers: Numbers, given: Known) -> str:
     """Tables after [design] of a loaded study: those of `rv-40e-whole`, in proportion to the size of the reducer.
 
     Args:
         text: of `rv-40e-whole`.
         numbers: of the design by path, SI.
-        torque: rated torque, N m.
+        given: the reducer, with its rated torque.
     """
-    assert torque is not None
+    assert given.torque is not None
+    torque = given.torque
     arm = {path.removeprefix(IN_DISC): x for path, x in numbers.items() if path.startswith(IN_DISC)}
     bearing = RollerBearing(**arm)
-    ratios, limit = tolerance_ratios(numbers), arm_force(bearing)
-    bore = numbers[ARM] / number_at(RV_40E_WHOLE, ARM)
-    similar = all(ratio == 1 for ratio, _ in ratios.values())
-    table, made = [""], []
-    for line in text.splitlines():
-        if header := re.match(r"\[+([\w.]+)\]+", line):
-            table = header[1].split(".")
-        elif match := _LINE.fullmatch(line):
-            line = _line(match, table, ratios, bore, limit, torque)
-        elif grade := re.fullmatch(r'grade = "(\w+)".*', line):
-            half = it_width(grade[1], _bore(bore)) / 2 / um
-            line = f'grade = "{grade[1]}" # +-{half:g} um'
-        if line == "# First stage" and not similar:
-            made += RULE.splitlines()
-        made.append(line)
-    capacity = f"C0 = {float(static_rating(bearing)) / 1e3:.3g} kN"
-    return "\n".join(made).replace("C0 = 33 kN", capacity) + "\n"
+    sizes, limit = tolerance_ratios(numbers), arm_force(bearing)
+    ratios = {e: (ratio, f"assumed: {ratio:g} times that of the RV-40E ({size})") for e, (ratio, size) in sizes.items()}
+    scale = numbers[ARM] / number_at(RV_40E_WHOLE, ARM)
+    bore = float(f"{25e-3 * scale:.4g}")
+
+    def line(path: tuple[str, ...], match: re.Match[str]) -> str:
+        if path[-1].endswith("_torque"):
+            return with_torque(path, match, torque, torque.why)
+        if path[:2] == ("requirement", "arm_bearing_force"):
+            return stated(match, in_unit(limit, "N", 6), match["note"])
+        if path[-1] == "size":
+            return (
+                match[0]
+                if scale == 1
+                else stated(match, f"{bore / mm:.6g} mm", "assumed: follows the turning-arm bearing")
+            )
+        limited = path[0] == "requirement" and path[1] != "misfit"
+        return match[0] if limited else scaled_line(path, match, ratios)
+
+    made = rewritten(text, line).replace("C0 = 33 kN", f"C0 = {float(static_rating(bearing)) / 1e3:.3g} kN")
+    made = re.sub(r'^grade = "(\w+)".*', lambda grade: _grade(grade[1], bore), made, flags=re.MULTILINE)
+    similar = all(ratio == 1 for ratio, _ in sizes.values())
+    return made if similar else made.replace("# First stage\n", f"{RULE}# First stage\n", 1)
 
 
-def _bore(ratio: float) -> float:
-    return float(f"{25e-3 * ratio:.4g}")
-
-
-def _line(
-    match: re.Match[str],
-    table: list[str],
-    ratios: Mapping[str, tuple[float, str]],
-    bore: float,
-    limit: float,
-    torque: Assumed,
-) -> str:
-    """A line of the table with its value for this size."""
-    key, number, unit, said = match["key"], float(match["number"]), match["unit"], match["said"] or ""
-    head = f"{key}{match['gap']}"
-    if key.endswith("_torque"):
-        return f'{head}"{in_unit(torque.value, "N m")}" # {torque.why}'
-    if table[:2] == ["requirement", "arm_bearing_force"]:
-        return f'{head}"{in_unit(limit, "N", 6)}" # {said}'
-    if key == "size":
-        return (
-            match[0] if bore == 1 else f'{head}"{_bore(bore) * 1e3:.6g} mm" # assumed: follows the turning-arm bearing'
-        )
-    names = [f"{table[1]}.{key}", table[1]] if len(table) == 2 else []
-    if (table[0] == "requirement" and table[1] != "misfit") or unit != "um":
-        return match[0]
-    ratio, size = next((ratios[name] for name in names if name in ratios), (1.0, ""))
-    if ratio == 1 or not number:
-        return match[0]
-    reason = f"assumed: {ratio:g} times that of the RV-40E ({size})"
-    return f'{head}"{match["word"] or ""}{number * ratio:.6g} um" # {"; ".join(filter(None, [said, reason]))}'
+def _grade(grade: str, size: float) -> str:
+    """Line of a grade, with its half-width at a size, m."""
+    return f'grade = "{grade}" # +-{it_width(grade, size) / 2 / um:g} um'
 
 
 STARTS = {

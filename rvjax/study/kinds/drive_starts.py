@@ -1,0 +1,211 @@
+"""New studies of single-stage drives: clearances, tolerances, torque and limits follow size, process and material.
+
+`processes.toml` has the processes and materials with their sources.
+"""
+
+import math
+import re
+import tomllib
+from importlib import resources
+
+import numpy as np
+
+from rvjax.catalogue import ASSUMED, BASES
+from rvjax.cycloidal import CycloidalReducer
+from rvjax.records import PyTree
+from rvjax.study.kinds.kind import Assumed, Known, Numbers, Start
+from rvjax.study.kinds.rv_starts import tolerance_unit
+from rvjax.study.kinds.scaling import number_at
+from rvjax.study.kinds.tables import rewritten, scaled_line, stated, with_torque
+from rvjax.study.values import in_unit
+from rvjax.units import arcmin, parse
+
+RATED = {"cycloidal-15": 5.0, "cycloidal-17": 8.8, "cycloidal-29": 116.0}
+"""Rated torque, N m."""
+OWN = {
+    "cycloidal-15": ("printed", "polymer"),
+    "cycloidal-17": ("milled", "aluminium"),
+    "cycloidal-29": ("ground", "hardened steel"),
+}
+"""Usual process and material of the known drives."""
+EXAMPLE = "cycloidal-17"  # its study has the tables of new ones
+RING, FLANK, HOLE = "cycloid.pin_circle_radius", "cycloid.equidistant_modification", "output.hole_clearance"
+MODULUS, POISSON, SEAT = "contact.young_modulus", "contact.poisson_ratio", "stiffness.eccentric_bearing"
+WIDTH = "contact.face_width"
+PINS = ("contact.pin_young_modulus", "contact.pin_poisson_ratio")
+PARTS = ("cycloid", "output", "stiffness", "contact", "bearings")
+NEEDED = (
+    "cycloid.disc_teeth", "cycloid.eccentricity", RING, "cycloid.pin_radius", "output.count", "output.circle_radius",
+    "output.pin_radius",
+)  # fmt: skip
+"""Numbers that a drawing must give."""
+SIZES = {  # key of a process, and the radius that the error grows with
+    "equidistant_modification": ("flank", RING), "pin_offset": ("position", RING), "throw": ("throw", RING),
+    "hole_position": ("position", "output.circle_radius"), "output_pin_offset": ("position", "output.circle_radius"),
+    "hole_radius": ("hole", "output.pin_radius"), "pin_radii": ("pin", ""), "output_pin_radius": ("pin", ""),
+    "bearing_clearance": ("bearing", ""),
+}  # fmt: skip
+YIELDS = 1.79  # largest contact pressure of a line over the yield strength: von Mises
+SLIDING = 0.5  # assumed: share of this pressure for holes, on which the pins slide
+FREE = 9 / 8  # assumed: limit of the backlash over the clearance of the unit at the mid-points
+HEAD = """# A study of the loaded drive to change, with the numbers of the {name}: replace them by those of your
+# drawing, then run rvjax check on this file. Tolerances, costs, clearances and limits are assumed: they follow size,
+# process and material by rvjax/study/processes.toml.
+
+"""
+
+_FILE: dict[str, PyTree] = tomllib.loads((resources.files("rvjax.study") / "processes.toml").read_text("utf-8"))
+PROCESSES: dict[str, PyTree] = _FILE["process"]
+MATERIALS: dict[str, PyTree] = _FILE["material"]
+
+
+def process_of(given: Known) -> str:
+    """The process of a drive: that of the user, else the usual one of a known drive, else the first of the table.
+
+    Args:
+        given: the drive as its source gives it.
+    """
+    return given.process or OWN.get(given.name, (next(iter(PROCESSES)),))[0]
+
+
+def material_of(given: Known) -> str:
+    """The material of the discs: by a modulus that is no assumed one, else the usual one if the process has it.
+
+    Args:
+        given: the drive as its source gives it.
+    """
+    if MODULUS in given.numbers and not _assumed(given, MODULUS):
+        return min(MATERIALS, key=lambda name: abs(math.log(given.numbers[MODULUS] / _value(MATERIALS[name], "Pa"))))
+    able = PROCESSES[process_of(given)]["materials"]
+    own = OWN.get(given.name, ("", ""))[1]
+    return own if own in able else str(able[0])
+
+
+def _assumed(given: Known, path: str) -> bool:
+    """True if a number may be replaced: a known drive has it without a source, and the user does not give it."""
+    return path not in given.stated and bool(ASSUMED.search(given.said.get(path, "")))
+
+
+def _value(table: PyTree, unit: str, key: str = "young_modulus") -> float:
+    return float(parse(table[key], unit))
+
+
+def _nearest(numbers: Numbers) -> str:
+    """The known drive whose pin circle is nearest by its ratio."""
+    return min(RATED, key=lambda name: abs(math.log(numbers[RING] / number_at(BASES[name], RING))))
+
+
+def growth(numbers: Numbers, process: str, path: str) -> float:
+    """Ratio of a tolerance to that of the table, rounded to 0.01.
+
+    Args:
+        numbers: of the design by path, SI.
+        process: by name.
+        path: of the radius that it belongs to; "" for parts that are bought.
+    """
+    if not path or not PROCESSES[process]["grows"]:
+        return 1.0
+    own, example = (tolerance_unit(2 * x) for x in (numbers[path], number_at(BASES[EXAMPLE], path)))
+    return round(float(own / example), 2)
+
+
+def completed(given: Known, _: CycloidalReducer) -> tuple[Numbers, dict[str, Assumed]]:
+    """Numbers of a drive that are taken over, and those that its source lacks or only assumes.
+
+    Args:
+        given: the drive as its source gives it.
+    """
+    process, material, near = process_of(given), material_of(given), _nearest(given.numbers)
+    table, own, donor = PROCESSES[process], MATERIALS[material], BASES[near]
+    size = float(given.numbers[RING] / number_at(donor, RING))
+    like = f"assumed: as the {near}" + (f", for {size:.3g} times its size" if abs(size - 1) > 1e-9 else "")
+    flank, hole = (growth(given.numbers, process, path) for path in (RING, "output.circle_radius"))
+    softer = own["seat"] / MATERIALS[OWN[near][1]]["seat"]
+    found = {
+        "cycloid.pin_count": Assumed(given.numbers["cycloid.disc_teeth"] + 1, "follows: one more than the lobes"),
+        "cycloid.disc_count": Assumed(donor.cycloid.disc_count, f"assumed: as the {near}"),
+        FLANK: Assumed(flank * _value(table, "m", "flank_clearance"), f"assumed: {process}"),
+        HOLE: Assumed(hole * _value(table, "m", "hole_clearance"), f"assumed: {process}"),
+        MODULUS: Assumed(_value(own, "Pa"), f"assumed: {material}"),
+        POISSON: Assumed(own["poisson_ratio"], f"assumed: {material}"),
+        SEAT: Assumed(number_at(donor, SEAT) * size**0.8 * softer, like),
+        WIDTH: Assumed(number_at(donor, WIDTH) * size, like),
+        **{path: Assumed(number_at(donor, path), "assumed: steel") for path in PINS},
+    }
+    stand = {p: x for p, x in given.numbers.items() if p not in found or not _assumed(given, p)}
+    return stand, {path: item for path, item in found.items() if path not in stand}
+
+
+def rated_torque(given: Known) -> Assumed:
+    """Rated torque, N m: that of the nearest known drive, with the same share of the largest pressure of the material.
+
+    It grows with the third power of the size, with the square of this pressure, and with the softness of the contact.
+
+    Args:
+        given: the drive as its source gives it.
+    """
+    near = given.name if given.name in RATED else _nearest(given.numbers)
+    material, usual = material_of(given), OWN[near][1]
+    size = given.numbers[RING] / number_at(BASES[near], RING)
+    stronger = _value(MATERIALS[material], "Pa", "yield_strength") / _value(MATERIALS[usual], "Pa", "yield_strength")
+    value = float(RATED[near] * size**3 * stronger**2 * _stiffness(usual) / _stiffness(material))
+    if material == usual and abs(size - 1) < 1e-9:
+        return Assumed(RATED[near], "rated torque of the catalogue")
+    return Assumed(float(f"{value:.2g}"), f"assumed: from {RATED[near]:g} N m of the {near}")
+
+
+def _stiffness(material: str) -> float:
+    """Plane modulus of a contact with steel pins, Pa."""
+    soft = (1 - MATERIALS[name]["poisson_ratio"] ** 2 for name in (material, "steel"))
+    return 1 / sum(part / _value(MATERIALS[name], "Pa") for part, name in zip(soft, (material, "steel")))
+
+
+def free_play(numbers: Numbers, bearing: float) -> float:
+    """Backlash of one disc by its clearances alone, rigid parts, rad (docs/models/single_stage.md, free play).
+
+    Args:
+        numbers: of the design by path, SI.
+        bearing: radial clearance of the eccentric bearing, m.
+    """
+    e, flank, hole = (float(numbers[path]) for path in ("cycloid.eccentricity", FLANK, HOLE))
+    pins, flank, hole = int(numbers["output.count"]), max(flank, 0.0), max(hole, 0.0) / 2
+    lever = math.cos(math.pi / (pins * (2 if pins % 2 else 1))) * numbers["output.circle_radius"]  # the shortest best
+    aside = np.linspace(0, min(bearing, flank), 200)
+    turned = (np.sqrt(bearing**2 - aside**2) + np.sqrt(flank**2 - aside**2)) / (e * numbers["cycloid.disc_teeth"])
+    return float(2 * np.max(turned + (hole + aside) / lever))
+
+
+def _tables(text: str, numbers: Numbers, given: Known) -> str:
+    """Tables of the example with tolerances, torque and limits of this drive.
+
+    Args:
+        text: of the example.
+        numbers: of the design by path, SI.
+        given: the drive, with its rated torque.
+    """
+    process, material = process_of(given), material_of(given)
+    table, usual = PROCESSES[process], PROCESSES[OWN[EXAMPLE][0]]
+    note = f"assumed: {process}"
+    ratios = {
+        error: (_value(table, "m", key) / _value(usual, "m", key) * growth(numbers, process, path), note)
+        for error, (key, path) in SIZES.items()
+    }
+    pressure = YIELDS * _value(MATERIALS[material], "Pa", "yield_strength")
+    backlash = FREE * free_play(numbers, _value(table, "m", "bearing") / 2)
+    strength = f"assumed: {YIELDS:g} times the yield strength of {material}"
+    limits = {
+        "backlash": (f"{float(f'{backlash / arcmin:.2g}'):g} arcmin", "assumed: 1/8 above the clearances"),
+        "turn_pin_pressure": (in_unit(pressure, "Pa", 2), strength),
+        "hole_pressure": (in_unit(SLIDING * pressure, "Pa", 2), f"{strength}, half of it"),
+    }
+
+    def line(path: tuple[str, ...], match: re.Match[str]) -> str:
+        if path[0] == "requirement":
+            return stated(match, *limits[path[1]]) if path[1] in limits else match[0]
+        return with_torque(path, match, given.torque) if path[0] == "conditions" else scaled_line(path, match, ratios)
+
+    return rewritten(text, line)
+
+
+START = Start(EXAMPLE, PARTS, HEAD, completed, _tables)
+"""A new study of a drive."""

@@ -1,0 +1,166 @@
+"""Scaling laws of a kind of reducer: other numbers that follow a number that changes.
+
+The ratio of a number to its value in the study gives the ratio of the numbers that follow. A number that the study
+gives does not follow. Without scaling laws an optimum would buy stiffness that no bearing of its size has.
+"""
+
+import dataclasses
+import math
+import re
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+
+from rvjax.records import Design, PyTree, Record, Scalar
+
+Follow = Callable[[PyTree, Mapping[str, Scalar], Mapping[str, PyTree], Collection[str]], Mapping[str, PyTree]]
+
+
+def _nothing_else(*_: object) -> Any:
+    """No numbers."""
+    return {}
+
+
+@dataclass(frozen=True)
+class Law:
+    """One scaling law.
+
+    Attributes:
+        name: of what follows.
+        numbers: paths in the design that follow.
+        follows: {path of the number that changes: exponent of its ratio}.
+        interval: ratios of these numbers within which the scaling law is used.
+        source: of the scaling law.
+        whole: for a reducer of another size only, not where single numbers change.
+        exact: kinematics, also used without scaling laws: gears that do not obey it do not mesh.
+    """
+
+    name: str
+    numbers: tuple[str, ...]
+    follows: Mapping[str, float]
+    interval: tuple[float, float]
+    source: str
+    whole: bool = False
+    exact: bool = False
+
+
+@dataclass(frozen=True)
+class Following:
+    """Numbers of a kind of design that follow others; by default none.
+
+    Attributes:
+        laws: scaling laws, ordered: a number that follows comes before the numbers that follow it.
+        others: (design, new values, these with all that follows by scaling laws, paths that do not follow) -> values
+            by path that follow otherwise.
+        bound: {path: numbers that must follow it}; a study that gives one of them cannot vary the path.
+        instead: {path of a number that cannot vary: what it follows from, and what to vary}.
+    """
+
+    laws: tuple[Law, ...] = ()
+    others: Follow = _nothing_else
+    bound: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
+    instead: Mapping[str, str] = dataclasses.field(default_factory=dict)
+
+    def changed(
+        self,
+        design: Record,
+        values: Mapping[str, Scalar],
+        given: Collection[str] = (),
+        *,
+        similar: bool = True,
+        whole: bool = False,
+    ) -> PyTree:
+        """The design with other numbers, and with all that follows, see `rvjax.study.scaled`."""
+        stands, new = {*values, *given}, dict[str, PyTree](values)
+        for law in self.laws:
+            used = (similar or law.exact) and (whole or not law.whole)
+            ratios = {p: new[p] / number_at(design, p) for p in law.follows if used and new.get(p) is not None}
+            for path in law.numbers if ratios else ():
+                own = number_at(design, path)
+                if path not in stands and own is not None:
+                    new[path] = own * math.prod(ratio ** law.follows[p] for p, ratio in ratios.items())
+        return _replaced(design, new | dict(self.others(design, values, new, stands)))
+
+    def called(
+        self, design: Design, paths: Collection[str], given: Collection[str] = ()
+    ) -> list[tuple[Law, list[str]]]:
+        """Scaling laws that changes of some numbers call, each with the numbers of the design that follow.
+
+        Args:
+            design: the reducer.
+            paths: of the numbers that change.
+            given: paths of numbers that the study gives: they do not follow.
+        """
+        moving, found = set(paths), []
+        for law in self.laws:
+            if law.whole or not moving & set(law.follows):
+                continue
+            numbers = [path for path in law.numbers if path not in {*paths, *given} and _there(design, path)]
+            moving |= set(numbers)
+            if numbers:
+                found.append((law, numbers))
+        return found
+
+
+def number_at(design: object, path: str) -> PyTree:
+    """Number of a design by its path, such as "cycloid.profile_modification[1]"; None where a part is missing."""
+    names, element = split(path)
+    for name in names:
+        design = getattr(design, name, None)
+    return design if element is None or design is None else jnp.asarray(design)[element]
+
+
+def split(path: str) -> tuple[list[str], int | None]:
+    """Names of the fields in a path, and the element that it ends with.
+
+    Raises:
+        ValueError: one line.
+    """
+    found = re.fullmatch(r"([\w.]+)(?:\[(\d+)\])?", path)
+    if found is None:
+        raise ValueError(f"{path}: must be a path in the design, such as cycloid.eccentricity")
+    return found[1].split("."), None if found[2] is None else int(found[2])
+
+
+def _replaced(record: Record, changes: Mapping[str, object]) -> PyTree:
+    """A record of records with numbers replaced, by path: every record is checked once, with all its new numbers."""
+    own: dict[str, PyTree] = {}
+    parts: dict[str, dict[str, PyTree]] = {}
+    for path, value in changes.items():
+        name, _, rest = path.partition(".")
+        names, element = split(name)
+        if rest:
+            parts.setdefault(name, {})[rest] = value
+        elif element is not None:
+            own[names[0]] = jnp.asarray(own.get(names[0], getattr(record, names[0]))).at[element].set(value)
+        else:
+            own[name] = value
+    return record.replace(**own, **{name: _replaced(getattr(record, name), inner) for name, inner in parts.items()})
+
+
+def _there(design: Design, path: str) -> bool:
+    """True if the design has this number and it is not 0."""
+    own = number_at(design, path)
+    return own is not None and bool(jnp.any(jnp.asarray(own) != 0))
+
+
+def outside(before: Design, after: Design, laws: Collection[Law], of: str = "the study") -> list[str]:
+    """Numbers whose ratio lies outside the interval of a scaling law, a line each.
+
+    Args:
+        before: the design of the study.
+        after: the design that was found.
+        laws: scaling laws that were used.
+        of: name of the design before.
+    """
+    found = []
+    for path in dict.fromkeys(path for law in laws for path in law.follows):
+        if (was := number_at(before, path)) is None:
+            continue
+        ratio = float(number_at(after, path) / was)
+        for law in (law for law in laws if path in law.follows and not law.interval[0] <= ratio <= law.interval[1]):
+            most = f"from {law.interval[0]:g} to {law.interval[1]:g} times (assumed)"
+            found.append(f"{path}: {ratio:.3g} times that of {of}; {law.name} follow it {most}")
+    return found

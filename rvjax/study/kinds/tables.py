@@ -1,0 +1,74 @@
+"""Tables of an embedded study with other values, line by line: comments and order stay."""
+
+import re
+from collections.abc import Callable, Mapping
+
+from rvjax.study.kinds.kind import Assumed
+from rvjax.study.values import in_unit
+
+VALUE = re.compile(
+    r'(?P<key>\w+)(?P<gap> *= *)"(?P<word>diametral )?(?P<number>-?[\d.]+) (?P<unit>[^"]+)"(?: *# *(?P<note>.*))?'
+)
+"""A line with a value and its unit."""
+
+
+def rewritten(text: str, change: Callable[[tuple[str, ...], re.Match[str]], str]) -> str:
+    """Text of tables with other values.
+
+    Args:
+        text: of the tables.
+        change: (names of the table and the key, match of `VALUE`) -> the line.
+    """
+    table, made = tuple[str, ...](), []
+    for line in text.splitlines():
+        if header := re.match(r"\[+([\w.]+)\]+", line):
+            table = tuple(header[1].split("."))
+        elif match := VALUE.fullmatch(line):
+            line = change((*table, match["key"]), match)
+        made.append(line)
+    return "\n".join(made) + "\n"
+
+
+def stated(match: re.Match[str], value: str, *notes: str | None) -> str:
+    """The line with another value.
+
+    Args:
+        match: of the line.
+        value: with its unit.
+        *notes: of its comment.
+    """
+    comment = "; ".join(filter(None, notes))
+    line = f'{match["key"]}{match["gap"]}"{match["word"] or ""}{value}"'
+    return f"{line} # {comment}" if comment else line
+
+
+def scaled_line(
+    path: tuple[str, ...], match: re.Match[str], ratios: Mapping[str, tuple[float, str]], *, of: str = "um"
+) -> str:
+    """The line with its length times the ratio of its error; unchanged where there is none.
+
+    Args:
+        path: names of the table and the key.
+        match: of the line.
+        ratios: (ratio, note) by error, or by "error.key".
+        of: unit of the lengths.
+    """
+    number, names = float(match["number"]), (".".join(path[1:3]), path[1] if len(path) > 2 else "")
+    ratio, note = next((ratios[name] for name in names if name in ratios), (1.0, ""))
+    if match["unit"] != of or ratio == 1 or not number:
+        return match[0]
+    return stated(match, f"{number * ratio:.6g} {of}", match["note"], note)
+
+
+def with_torque(path: tuple[str, ...], match: re.Match[str], torque: Assumed | None, note: str | None = None) -> str:
+    """The line with the rated torque of this reducer; unchanged where none is known.
+
+    Args:
+        path: names of the table and the key.
+        match: of the line.
+        torque: rated torque, N m.
+        note: of its comment; None: as it is.
+    """
+    if torque is None or not path[-1].endswith(("output_torque", "rated_torque")):
+        return match[0]
+    return stated(match, in_unit(torque.value, "N m"), match["note"] if note is None else note)

@@ -1,0 +1,199 @@
+"""`rvjax init` of single-stage drives: the study follows size, process and material; the share that jams.
+
+The table of milled drives gives the embedded study cycloidal-17, which is older than the table.
+"""
+
+import itertools
+import re
+
+import numpy as np
+import pytest
+from cycloidal_cases import NAMED, design_of, errors_of, fits
+from test_init import read, unit
+
+from rvjax import catalogue, cli, study
+from rvjax.commands import check
+from rvjax.commands.init import written
+from rvjax.study.kinds import changed, cycloidal, drive_starts, number_at
+from rvjax.units import arcmin, mm, um
+
+BASES, PROCESSES = ("cycloidal-15", "cycloidal-17", "cycloidal-29"), ("milled", "wire-cut", "printed", "ground")
+ALL = list(itertools.product(BASES, PROCESSES))
+DRAWING = """[design]
+kind = "cycloidal"
+cycloid.disc_teeth = 19
+cycloid.eccentricity = "1.5 mm"
+cycloid.pin_circle_radius = "40 mm"
+cycloid.pin_radius = "2.5 mm"
+output.count = 6
+output.circle_radius = "25 mm"
+output.pin_radius = "3 mm"
+"""
+
+
+@pytest.fixture
+def drawing(tmp_path):
+    def write(text=DRAWING):
+        (tmp_path / "drawing.toml").write_text(text)
+        return str(tmp_path / "drawing.toml")
+
+    return write
+
+
+def test_a_milled_drive_of_17_lobes_is_the_embedded_study():
+    for made in (read(written("cycloidal-17").text), read(written("cycloidal-17", process="milled").text)):
+        due = study.load("cycloidal-17", solve=False)
+        for name in ("conditions", "tolerances", "costs", "requirements", "seed", "samples", "certificate_samples"):
+            assert repr(getattr(made, name)) == repr(getattr(due, name)), name
+        for path, value, _ in catalogue.walk(due.design):
+            np.testing.assert_allclose(number_at(made.design, path), value, rtol=1e-11, err_msg=path) if (
+                path != "member"
+            ) else None
+        assert {"cycloid.equidistant_modification", "output.hole_clearance"} <= set(made.assumed)
+        assert made.assumed_limits == {"backlash", "turn_pin_pressure", "hole_pressure"}
+
+
+@pytest.mark.parametrize(("base", "process"), ALL)
+def test_tolerances_costs_and_clearances_follow_the_process(base, process):
+    """All in the same ratio to the embedded study; grown ones by i = 0.45 D^(1/3) + 0.001 D of the pin circle."""
+    made, due = read(written(base, process=process).text), study.load("cycloidal-17", solve=False)
+    flank, holes = {"milled": (20, 10), "wire-cut": (5, 5), "printed": (50, 40), "ground": (3, 2.5)}[process]
+    clearance = {"milled": 60, "wire-cut": 20, "printed": 140, "ground": 12}[process]
+    size = 2e3 * made.design.cycloid.pin_circle_radius
+    grown = unit(size) / unit(85) if process in ("milled", "ground") else 1.0
+    assert made.tolerances.equidistant_modification.half_width == pytest.approx(flank * um * grown, rel=6e-3)
+    assert made.design.cycloid.equidistant_modification == pytest.approx(clearance * um * grown, rel=6e-3)
+    pin = 2e3 * made.design.output.pin_radius
+    own = unit(pin) / unit(5) if process in ("milled", "ground") else 1.0
+    assert made.tolerances.hole_radius.half_width == pytest.approx(holes * um * own, rel=6e-3)
+    for name, cost in made.costs.items():
+        ratio = made.tolerances.__dict__[name].half_width / due.tolerances.__dict__[name].half_width
+        for key in ("reference", "finest", "coarsest"):
+            assert getattr(cost, key) == pytest.approx(getattr(due.costs[name], key) * ratio, rel=1e-5), (name, key)
+    assert all(line.startswith("design.bearings.arm") for line in made.doubts)  # an assumed bearing of 29 lobes
+
+
+def test_torque_and_pressures_follow_the_material():
+    """p ~ (T E*)^(1/2) of a line contact: a drive of another material has the same share of its yield strength."""
+    printed, milled = (read(written("cycloidal-17", process=process).text) for process in ("printed", "milled"))
+    elastic = [1 / ((1 - nu**2) / e + (1 - 0.3**2) / 206e9) for e, nu in ((3e9, 0.35), (69e9, 0.33))]
+    due = 8.8 * (100 / 503) ** 2 * elastic[1] / elastic[0]
+    assert printed.conditions.rated_torque == printed.conditions.output_torque == pytest.approx(due, rel=0.02)
+    assert printed.design.contact.young_modulus == 3e9 and printed.design.contact.poisson_ratio == 0.35
+    assert printed.design.stiffness.eccentric_bearing == pytest.approx(0.33 * 30e6)
+    for made, strength in ((printed, 100e6), (milled, 503e6)):
+        assert made.requirements["turn_pin_pressure"].upper == pytest.approx(1.79 * strength, rel=0.01)
+        assert made.requirements["hole_pressure"].upper == pytest.approx(1.79 / 2 * strength, rel=0.01)
+    assert read(written("cycloidal-29").text).conditions.rated_torque == 116.0
+    cut = read(written("cycloidal-29", process="wire-cut").text)  # steel that is not hardened
+    assert cut.conditions.rated_torque == pytest.approx(116 * (900 / 1700) ** 2, rel=0.02)
+
+
+def test_a_drawing_gives_what_it_has_and_the_rest_is_assumed(drawing):
+    made = read(written(drawing(), process="wire-cut").text)
+    assert made.design.cycloid.pin_count == 20 and made.design.cycloid.disc_count == 2
+    near = catalogue.CYCLOIDAL_17  # 42.5 mm is nearest to 40 mm
+    assert made.design.contact.face_width == pytest.approx(near.contact.face_width * 40 / 42.5, rel=1e-3)
+    assert made.design.stiffness.eccentric_bearing == pytest.approx(30e6 * (40 / 42.5) ** 0.8, rel=1e-3)
+    assert made.design.contact.young_modulus == 206e9 and made.design.output.hole_clearance == 30 * um
+    steel = [1 / ((1 - nu**2) / e + (1 - 0.3**2) / 206e9) for e, nu in ((206e9, 0.3), (69e9, 0.33))]
+    due = 8.8 * (40 / 42.5) ** 3 * (900 / 503) ** 2 * steel[1] / steel[0]
+    assert made.conditions.rated_torque == pytest.approx(due, rel=0.05)
+    assert not {path for path in made.assumed if path in drive_starts.NEEDED}
+    assert {"stiffness.eccentric_bearing", "cycloid.disc_count", "contact.young_modulus"} <= set(made.assumed)
+
+
+def test_numbers_of_a_drawing_stand(drawing):
+    """Also a clearance, a modulus and a torque, and one that the user calls assumed."""
+    text = DRAWING + 'cycloid.equidistant_modification = "33 um"\noutput.hole_clearance = "44 um" # assumed\n'
+    text += 'cycloid.disc_count = 1\nmember = "ring"\ncontact.young_modulus = "69 GPa"\ncontact.poisson_ratio = 0.3\n'
+    made = read(written(drawing(text + '[conditions]\nrated_torque = "7 N m"\n'), process="printed").text)
+    assert made.design.cycloid.equidistant_modification == 33 * um and made.design.output.hole_clearance == 44 * um
+    assert made.design.cycloid.disc_count == 1 and made.design.member == "ring"
+    assert made.conditions.rated_torque == 7.0 and made.design.contact.young_modulus == 69e9
+    assert made.requirements["turn_pin_pressure"].upper == pytest.approx(900e6)  # aluminium, by its modulus
+    assert "cycloid.equidistant_modification" not in made.assumed and "output.hole_clearance" in made.assumed
+    based = read(written(drawing('[design]\nbase = "cycloidal-17"\ncycloid.eccentricity = "1.5 mm"\n')).text)
+    assert based.design.output.hole_clearance == 100 * um and based.design.cycloid.eccentricity == 1.5 * mm
+
+
+@pytest.mark.parametrize(
+    ("base", "process", "words"),
+    [
+        ("cycloidal-17", "laser", "--process = 'laser': must be one of milled, wire-cut, printed, ground"),
+        ("rv-40e", "milled", "--process milled: tolerances of an RV reducer follow its size alone"),
+        ("drawing.toml", "milled", r"\[design\] lacks output.count \(output pins, n\)"),
+    ],
+)
+def test_a_wrong_process_or_drawing_is_one_line(drawing, tmp_path, monkeypatch, capsys, base, process, words):
+    monkeypatch.chdir(tmp_path)
+    drawing(DRAWING.replace("output.count = 6\n", ""))
+    assert cli.main(["init", "mine.toml", "--base", base, "--process", process]) == 2
+    said = capsys.readouterr().err
+    assert re.search(words, said) and len(said.splitlines()) == 1 and not (tmp_path / "mine.toml").exists()
+
+
+def test_clearances_alone_give_the_backlash_of_the_solved_drive():
+    """Catalogue drives at input angle 0, where six pins hold at their worst angle: 103.348 and 23.916 arcmin."""
+    for name, due in (("cycloidal-15", 103.348), ("cycloidal-17", 23.916)):
+        numbers = {path: value for path, value, _ in catalogue.walk(study.BASES[name])}
+        assert drive_starts.free_play(numbers, 0.0) == pytest.approx(due * arcmin, rel=0.01)
+    numbers = {path: value for path, value, _ in catalogue.walk(catalogue.CYCLOIDAL_17)}
+    for flank, bearing in ((60, 10), (10, 60), (10, 10), (0, 10)):
+        numbers |= {"cycloid.equidistant_modification": flank * um, "output.hole_clearance": 0.0}
+        half = np.linspace(0, min(bearing, flank), 1001)  # of what the disc moves along the line of the shortest lever
+        around = np.sqrt(bearing**2 - half**2) + np.sqrt(flank**2 - half**2)
+        due = 2e-3 * np.max(around / (1.6 * 17) + half / (32.3 * np.sqrt(3) / 2))
+        assert drive_starts.free_play(numbers, bearing * um) == pytest.approx(due, rel=1e-4), (flank, bearing)
+
+
+def test_the_recommended_clearances_shift_every_fit_by_the_same():
+    """Flanks s more, holes 2 s more in diameter: the least clearance of each unit grows by s exactly."""
+    case = NAMED["c17: fit, errors"]
+    design, errors = design_of(case["design"]), errors_of(case["errors"])
+    more = {"cycloid.equidistant_modification": 7 * um, "output.hole_clearance": 14 * um}
+    wider = changed(design, {path: number_at(design, path) + size for path, size in more.items()})
+    before, after = fits((design, errors), (wider, errors))
+    np.testing.assert_allclose(after.at, before.at + 7 * um, rtol=0, atol=1e-12)
+
+
+def test_the_share_that_jams_and_the_clearances_with_which_99_percent_turn():
+    """5 of 1,000 units at -1 um, the rest from 9 um on: 1 % of 1,000 begins at 9 um, so that 9 um may go."""
+    base, tolerances = catalogue.CYCLOIDAL_17, study.load("cycloidal-17", solve=False).tolerances
+    fitting = np.concatenate([np.full(5, -1.0), np.full(995, 9.0)]) * um
+    (line,) = cycloidal.turning(base, tolerances, fitting)
+    assert line.startswith("0.5 % of 1,000 units jam with these tolerances; 99 % turn with ")
+    assert "equidistant_modification 51 um and hole_clearance 52 um" in line
+    lever = 32.3 * np.sqrt(3) / 2
+    less = 2 * (9 / 27.2 + 9 / lever) * 1e-3 / arcmin
+    assert float(re.search(r"have ([\d.]+) arcmin less", line)[1]) == pytest.approx(less, rel=0.05)
+    (line,) = cycloidal.turning(base, tolerances, fitting - 12 * um)
+    assert "100 % of 1,000 units jam" in line and "equidistant_modification 63 um" in line and "arcmin more" in line
+
+
+def test_check_of_a_drive_has_usual_values_without_limits_and_the_share_that_jams(tmp_path, capsys):
+    """The embedded study without its limits of pressure; the clearance of the unit is that of `loaded.clearance`."""
+    text = (study.EMBEDDED / "cycloidal-17.toml").read_text("utf-8")
+    cut = text[: text.index("[requirement.turn_pin_pressure]")] + text[text.index("[run]") :]
+    (tmp_path / "mine.toml").write_text(cut.replace('"100 um"', '"40 um"'))
+    made = study.load(str(tmp_path / "mine.toml"), solve=False)
+    assert made.further == ("torsional_stiffness", "turn_pin_pressure", "hole_pressure")  # no friction: no efficiency
+    lines = check._turning(made)
+    assert re.match(r"\d", lines[0]) and "of 1,024 units jam" in lines[0]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("base", "process"), ALL)
+def test_at_most_one_percent_jams_at_the_initial_tolerances(base, process):
+    (line,) = check._turning(read(written(base, process=process).text))
+    assert float(line.partition(" %")[0]) <= 1.0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("base", "process"), ALL)
+def test_init_check_and_allocate_end_with_a_certificate(tmp_path, monkeypatch, capsys, base, process):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["init", "mine.toml", "--base", base, "--process", process]) == 0
+    assert cli.main(["check", "mine.toml"]) == 0 and "no tolerance can meet" not in capsys.readouterr().out
+    assert cli.main(["allocate", "mine.toml", "--quiet"]) == 0
+    assert "Study mine: OPTIMAL" in capsys.readouterr().out
