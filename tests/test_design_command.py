@@ -281,4 +281,4 @@ def test_init_writes_a_study_with_variables(tmp_path, monkeypatch, capsys):
     assert set(made.variables) == set(study.load("rv-40e-design", solve=False).variables)
     assert made.about.revision == "A" and "rvjax design" in (tmp_path / "mine.toml").read_text()
     assert cli.main(["init", "other.toml", "--design", "--base", "rv-80e"]) == 2
-    assert "is of the rv-40e only" in capsys.readouterr().err
+    assert "begins with rv-40e or a drive" in capsys.readouterr().err

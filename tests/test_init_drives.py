@@ -11,7 +11,7 @@ import pytest
 from cycloidal_cases import NAMED, design_of, errors_of, fits
 from test_init import read, unit
 
-from rvjax import catalogue, cli, study
+from rvjax import catalogue, cli, geometry, study
 from rvjax.commands import check
 from rvjax.commands.init import written
 from rvjax.study.kinds import changed, cycloidal, drive_starts, number_at
@@ -180,6 +180,40 @@ def test_check_of_a_drive_has_usual_values_without_limits_and_the_share_that_jam
     assert made.further == ("torsional_stiffness", "turn_pin_pressure", "hole_pressure")  # no friction: no efficiency
     lines = check._turning(made)
     assert re.match(r"\d", lines[0]) and "of 1,024 units jam" in lines[0]
+
+
+def test_a_number_that_the_user_replaces_is_not_assumed(drawing):
+    """The comment stays as it was written; the value decides. Lengths, moduli, counts and plain numbers."""
+    text = written(drawing(), process="wire-cut").text
+    changes = {
+        '"20 um" # profile': '"25 um" # profile',
+        "disc_count = 2 #": "disc_count = 1 #",
+        '"206 GPa" # Young': '"210 GPa" # Young',
+    }
+    paths = {"cycloid.equidistant_modification", "cycloid.disc_count", "contact.young_modulus"}
+    assert paths <= set(read(text).assumed)
+    for old, new in changes.items():
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    assert not paths & set(read(text).assumed) and "output.hole_clearance" in read(text).assumed
+    same = text.replace("poisson_ratio = 0.3 # Pois", "poisson_ratio = 0.30 # Pois").replace(
+        '"28.58 N/um" #', '"28580 N/mm" #'
+    )
+    assert {"contact.poisson_ratio", "stiffness.eccentric_bearing"} <= set(read(same).assumed)
+
+
+def test_a_study_with_variables_begins_at_its_design(drawing):
+    """Bounds contain the number at the start; the space costs 5 there; limits without errors are met there."""
+    made = read(written(drawing(), process="wire-cut", variables=True).text)
+    assert set(made.variables) == set(drive_starts.VARIABLES) and set(made.objective) == {"envelope_volume"}
+    for path, variable in made.variables.items():
+        assert variable.lower < number_at(made.design, path) < variable.upper
+    found = geometry.figures(made.design)
+    assert made.objective["envelope_volume"](float(found.envelope_volume)) == pytest.approx(5, rel=0.01)
+    assert set(made.nominal) == {"pin_gap", "hole_gap", "hole_wall"}
+    for name, limits in made.nominal.items():
+        assert limits.lower == pytest.approx(0.75 * float(getattr(found, name)), rel=1e-2), name
+    assert set(made.requirements) == set(study.load("cycloidal-17", solve=False).requirements)
 
 
 @pytest.mark.long

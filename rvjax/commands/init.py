@@ -28,6 +28,7 @@ from rvjax.study import (
     given_numbers,
     given_paths,
     in_unit,
+    is_replaced,
     kind_of,
     load,
     naming,
@@ -77,7 +78,7 @@ class InitInputs(Inputs):
         default="",
     )
     design: bool = switch(
-        "a study for rvjax design: numbers of the design with bounds, prices and limits, on an RV-40E"
+        "a study for rvjax design: numbers of the design with bounds, prices and limits, of an RV-40E or a drive"
     )
 
     def __post_init__(self) -> None:
@@ -85,8 +86,6 @@ class InitInputs(Inputs):
         if Path(self.file).exists():
             raise ValueError(f"{self.file}: exists already; name a new file")
         check_writable(Path(self.file))
-        if self.design and self.base != "rv-40e":
-            raise ValueError(f"--design --base {self.base}: the study with variables is of the rv-40e only")
 
 
 ABOUT = """[about] # for the head of reports; every line may go
@@ -116,11 +115,9 @@ class Written:
 
 def compute(inputs: InitInputs) -> Written:
     """Text of the new study."""
-    return (
-        Written(with_variables(), "four-bar", inputs.base)
-        if inputs.design
-        else written(inputs.base, inputs.model, inputs.process)
-    )
+    if inputs.design and inputs.base == "rv-40e":
+        return Written(with_variables(), "four-bar", inputs.base)
+    return written(inputs.base, inputs.model, inputs.process, variables=inputs.design)
 
 
 def with_variables() -> str:
@@ -133,16 +130,18 @@ def with_variables() -> str:
     return head + ABOUT + text[text.index("[design]") :]
 
 
-def written(base: str, model: str = "loaded", process: str = "") -> Written:
+def written(base: str, model: str = "loaded", process: str = "", *, variables: bool = False) -> Written:
     """Write a study of a reducer, with all its values.
 
     Args:
         base: a known reducer, or a TOML file with the table [design].
         model: "loaded" or "four-bar"; an oscillatory roller reducer has a single one.
         process: that makes the parts; "" for the usual one.
+        variables: also tables of the numbers that `rvjax design` may choose.
 
     Raises:
-        ValueError: an unknown name, a process that such a reducer has not, or a file that gives no reducer.
+        ValueError: an unknown name, variables of an RV reducer, a process that such a reducer has not, or a file
+            that gives no reducer.
     """
     given = known(base, process)
     starts = given.kind.starts
@@ -153,6 +152,11 @@ def written(base: str, model: str = "loaded", process: str = "") -> Written:
     text = (EMBEDDED / f"{start.study}.toml").read_text("utf-8")
     numbers = {**own, **{path: item.value for path, item in more.items()}}
     rest = start.tables(text[text.index("[conditions]") :], numbers, given)
+    if variables:
+        if start.variables is None:
+            raise ValueError(f"--design --base {base}: a study with variables begins with rv-40e or a drive")
+        choices, limits = start.variables(numbers)
+        rest = f"{choices}\n{rest}".replace("[run]", f"{limits}\n[run]", 1)
     return Written(_joined(given, more, start, rest), model, given.name, _warnings(given, more))
 
 
@@ -228,7 +232,9 @@ def _drawn(path: Path) -> Known:
         if missing := _lacking(kind, numbers):
             raise ValueError(f"[design] lacks {'; '.join(missing)}")
         said = dict.fromkeys(catalogue.assumed(str(base)), "assumed") if base else {}
-        said |= comments(text)
+        about = {path: each for path, each, _ in fields_of_kind(kind.design)}
+        notes = {path: note for path, note in comments(text).items() if path in numbers}
+        said |= {path: "" if is_replaced(numbers[path], about[path], note) else note for path, note in notes.items()}
         torque, unread = _torque(subtable(tables, "conditions")), tuple(sorted(set(tables) - FILE_PARTS))
         return Known(str(path), kind, numbers, said, torque, True, unread, stated=frozenset(given_paths(table)))
 
@@ -274,7 +280,9 @@ def lines(given: Known, more: Mapping[str, Assumed], parts: Collection[str], *, 
         meaning = str(about["meaning"])
         reason = item.why if item is not None else given.said.get(path, "").removeprefix(meaning).removeprefix("; ")
         value = _text(numbers[path], about, exact=item is None)
-        yield f"{path} = {value} # {'; '.join(filter(None, [meaning, reason]))}"
+        alone = np.ndim(numbers[path]) == 0 and reason.startswith("assumed") and "initially" not in reason
+        initially = "initially " + value.strip('"') if alone else ""
+        yield f"{path} = {value} # {'; '.join(filter(None, [meaning, reason, initially]))}"
 
 
 def _text(value: PyTree, about: Metadata, *, exact: bool) -> str:

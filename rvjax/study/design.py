@@ -160,7 +160,8 @@ def design_numbers(design: PyTree, given: Toml, text: str) -> list[Number]:
             origin = f"{base}: {said}" if said else base
         else:
             origin, said = "default", ""
-        found.append(Number(path, value, about["unit"], about["meaning"], origin, is_assumed(said)))
+        assumed = is_assumed(said) and not is_replaced(value, about, said)
+        found.append(Number(path, value, about["unit"], about["meaning"], origin, assumed))
     return found
 
 
@@ -184,6 +185,29 @@ def comments(text: str, table: str = "design") -> dict[str, str]:
 def is_assumed(text: str) -> bool:
     """True if a comment marks a value as not published."""
     return bool(catalogue.ASSUMED.search(text))
+
+
+INITIALLY = re.compile(r"\binitially ([^;#]+)$")  # in the comment of an assumed value: the value
+
+
+def is_replaced(value: PyTree, about: Metadata, note: str) -> bool:
+    """True if a comment gives the assumed value, and the number is another one: the user has replaced it.
+
+    Args:
+        value: of the number, SI.
+        about: metadata of its field.
+        note: its comment.
+    """
+    given = INITIALLY.search(note)
+    if given is None:
+        return False
+    text: object = given[1].strip()
+    try:
+        if about["unit"] == "-":
+            text = int(given[1]) if about["kind"] == "count" else float(given[1])
+        return not np.isclose(field_value(text, about, ""), value, rtol=1e-9, atol=0)
+    except ValueError:  # words of the user
+        return False
 
 
 def _same(value: PyTree, other: Design) -> bool:

@@ -45,6 +45,11 @@ SIZES = {  # key of a process, and the radius that the error grows with
     "hole_radius": ("hole", "output.pin_radius"), "pin_radii": ("pin", ""), "output_pin_radius": ("pin", ""),
     "bearing_clearance": ("bearing", ""),
 }  # fmt: skip
+VARIABLES = {  # share of the number at the start, from .. to
+    FLANK: (0.5, 2.0), HOLE: (0.5, 2.0), "cycloid.eccentricity": (0.8, 1.1), "cycloid.pin_radius": (0.8, 1.2),
+    WIDTH: (0.7, 1.5),
+}  # fmt: skip
+PRICE = 5.0  # assumed: of the volume at the start
 YIELDS = 1.79  # largest contact pressure of a line over the yield strength: von Mises
 SLIDING = 0.5  # assumed: share of this pressure for holes, on which the pins slide
 FREE = 9 / 8  # assumed: limit of the backlash over the clearance of the unit at the mid-points
@@ -207,5 +212,37 @@ def _tables(text: str, numbers: Numbers, given: Known) -> str:
     return rewritten(text, line)
 
 
-START = Start(EXAMPLE, PARTS, HEAD, completed, _tables)
+def _variables(numbers: Numbers) -> tuple[str, str]:
+    """Tables of the numbers that `rvjax design` may choose, with their price; limits of the unit without errors."""
+    rp, rr, e, around, pin, clearance = (
+        float(numbers[path])
+        for path in (
+            RING,
+            "cycloid.pin_radius",
+            "cycloid.eccentricity",
+            "output.circle_radius",
+            "output.pin_radius",
+            HOLE,
+        )
+    )
+    hole = pin + e + clearance / 2
+    gaps = {
+        "pin_gap": 2 * (rp * math.sin(math.pi / numbers["cycloid.pin_count"]) - rr),
+        "hole_gap": 2 * (around * math.sin(math.pi / numbers["output.count"]) - hole),
+        "hole_wall": rp - rr - e - around - hole,
+    }
+    tables = ["# Numbers of the design that may change; bounds and prices are assumed", ""]
+    for path, (low, high) in VARIABLES.items():
+        lower, upper = (in_unit(part * float(numbers[path]), "m") for part in (low, high))
+        tables += [f'[variable."{path}"]', f'lower = "{lower}"', f'upper = "{upper}"', ""]
+    volume = math.pi * (rp + rr) ** 2 * float(numbers[WIDTH]) * numbers["cycloid.disc_count"]
+    tables += ["[objective] # price of the space, in the unit of the costs"]
+    tables += [f'envelope_volume = {{price = {PRICE:g}, per = "{in_unit(volume, "m3", 2)}"}}', ""]
+    limits = ["# Limits of the unit without errors, assumed: 3/4 of the value at the start", ""]
+    for name, value in gaps.items():
+        limits += [f"[requirement.{name}]", f'nominal_lower = "{in_unit(0.75 * value, "m", 3)}"', ""]
+    return "\n".join(tables), "\n".join(limits)
+
+
+START = Start(EXAMPLE, PARTS, HEAD, completed, _tables, variables=_variables)
 """A new study of a drive."""
