@@ -202,9 +202,8 @@ def test_every_result_has_the_line_on_its_clearances(monkeypatch):
     budget = budgets.scalar_budget(made, "hole_force", samples=16)
     assert "Inaccurate: clearance up to 65 um of the flanks: above" in report_on_scalar(budget, made).text()
     looser = made.tolerances.replace(equidistant_modification=Tolerance.symmetric(3 * um))
-    answer = SimpleNamespace(
-        study=made, allocation=SimpleNamespace(tolerances=looser), after=SimpleNamespace(values={}), whole=None
-    )
+    found = SimpleNamespace(tolerances=looser, certificate=SimpleNamespace(verdicts={}))
+    answer = SimpleNamespace(study=made, allocation=found, after=SimpleNamespace(values={}), whole=None)
     lines = [line for line in allocate.limits_of_the_answer(answer) if line.startswith("Inaccurate")]
     assert len(lines) == 1 and lines[0].startswith("Inaccurate: clearance up to 68 um of the flanks")
 

@@ -5,6 +5,7 @@ The table of milled drives gives the embedded study cycloidal-17, which is older
 
 import itertools
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from test_init import read, unit
 
 from rvjax import catalogue, cli, geometry, study
 from rvjax.commands import check
+from rvjax.commands.cells import rejects_texts
 from rvjax.commands.init import written
 from rvjax.study.kinds import changed, cycloidal, drive_starts, number_at
 from rvjax.units import arcmin, mm, um
@@ -169,6 +171,29 @@ def test_the_share_that_jams_and_the_clearances_with_which_99_percent_turn():
     assert float(re.search(r"have ([\d.]+) arcmin less", line)[1]) == pytest.approx(less, rel=0.05)
     (line,) = cycloidal.turning(base, tolerances, fitting - 12 * um)
     assert "100 % of 1,000 units jam" in line and "equidistant_modification 63 um" in line and "arcmin more" in line
+
+
+def test_units_without_clearance_jam_in_words():
+    """Of 1,000 units 12 below zero; a limit other than zero has no such line, nor a response without the word."""
+    made = study.load("cycloidal-17", solve=False)
+    verdict = SimpleNamespace(kind="share", estimate=SimpleNamespace(value=0.988))
+    verdicts = dict.fromkeys(made.requirements, verdict)
+    assert rejects_texts(made, verdicts) == {"fit_clearance": "1.2 % of the units jam (fit_clearance below 0)"}
+    text = made.text.replace('lower = "0 um"\ntarget', 'lower = "3 um"\ntarget')
+    assert text != made.text and rejects_texts(read(text), verdicts) == {}
+
+
+def test_what_is_read_over_a_part_of_a_turn_says_so():
+    """18 pins: a crank turn against the carrier is 20 deg of the output; over a whole turn nothing is left."""
+    made = study.load("cycloidal-17", solve=False)
+    part = "fit_clearance, turn_pin_pressure, hole_pressure are read over 20 deg of the output"
+    assert f"a turn of the output: {part}" in made.left_out
+    assert made.output("turn_pin_pressure").meaning == "largest contact pressure of a pin over 20 deg of the output"
+    assert made.curve.title == "Transmission error of the loaded reducer over 20 deg of the output"
+    whole = read(made.text.replace("[conditions]", '[conditions]\nspan = "output_turn"'))
+    assert not any("are read over" in line for line in whole.left_out)
+    assert whole.output("turn_pin_pressure").meaning == "largest contact pressure of a pin over a turn of the output"
+    assert study.load("rv-40e", solve=False).output("misfit").meaning.endswith("(assembly)")
 
 
 def test_check_of_a_drive_has_usual_values_without_limits_and_the_share_that_jams(tmp_path, capsys):

@@ -24,7 +24,7 @@ from rvjax.outputs import Output
 from rvjax.population.estimates import Estimate
 from rvjax.render import Figure, saved
 from rvjax.study import load
-from rvjax.study.study import About
+from rvjax.study.about import About
 from rvjax.tolerances import Outcome, QuadraticLoss, Requirement, WorstCaseWithin, expected_losses, monte_carlo
 from rvjax.units import arcmin, rpm, um
 
@@ -192,7 +192,7 @@ def test_a_worst_case_says_that_it_is_searched(monkeypatch):
     found = monte_carlo(response, question.tolerances, samples=16, seed=0, requirements=limits)
     answer = SimpleNamespace(
         study=question,
-        allocation=SimpleNamespace(tolerances=question.tolerances),
+        allocation=SimpleNamespace(tolerances=question.tolerances, certificate=SimpleNamespace(verdicts={})),
         after=SimpleNamespace(values={}),
         whole=None,
     )

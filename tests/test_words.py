@@ -18,7 +18,7 @@ PRIVATE = re.compile(
     r"|printed|laws?|hardly|drawn|answer(s|ed)?)\b",
     re.IGNORECASE,
 )
-ALLOWED = r"contact laws?|scaling laws?|drawn to scale|drawn cup|room temperature|machine-readable"
+ALLOWED = r"contact laws?|scaling laws?|drawn to scale|drawn cup|room temperature|machine-readable|wire-cut, printed"
 ALLOWED = re.compile(ALLOWED, re.IGNORECASE)
 CODE = re.compile(r"```.*?```|<!--.*?-->|`[^`]*`|\]\([^)]*\)|\$[^$]*\$|<[^>]*>|--[a-z-]+", re.DOTALL)
 

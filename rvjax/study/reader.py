@@ -17,6 +17,7 @@ from rvjax._jax.checks import remind_of_precision
 from rvjax.base.words import meant
 from rvjax.records import Design, PyTree
 from rvjax.running import OF_JOINT
+from rvjax.study.about import parse_about
 from rvjax.study.design import given_paths, parse_design, refuse_impossible
 from rvjax.study.goals import (
     parse_accuracy,
@@ -28,7 +29,7 @@ from rvjax.study.goals import (
     parse_variables,
 )
 from rvjax.study.identification import Identification, parse_identification
-from rvjax.study.study import Study, parse_about
+from rvjax.study.study import Study
 from rvjax.study.tolerances import FORMS, RING, RING_FORMS, parse_tolerances, refuse_unplaced
 from rvjax.study.values import Toml, field_value, integer, known, naming, share, subtable, tables_of, text_of
 from rvjax.tolerances import FEWEST, Limits, Nominal

@@ -1,7 +1,4 @@
-"""A study: design, conditions, tolerances, costs and requirements.
-
-Title, author and revision of a study, for the head of reports.
-"""
+"""A study: design, conditions, tolerances, costs and requirements."""
 
 import dataclasses
 import functools
@@ -15,6 +12,7 @@ from rvjax.levels import Choice, choose
 from rvjax.outputs import Curve, Output
 from rvjax.records import PyTree, Record, Scalar
 from rvjax.status import Status, worst
+from rvjax.study.about import About
 from rvjax.study.design import (
     Number,
     comments,
@@ -32,52 +30,12 @@ from rvjax.study.response import DesignResponse, Response, check_nominal, follow
 from rvjax.study.tolerances import Form, forms, mid_points
 from rvjax.study.values import (
     StudyError as StudyError,  # other modules take it from here
-    known,
     naming,
     tables_of,
 )
 from rvjax.tolerances import Cost, Limits, Middle, Nominal, QuadraticLoss, Variable
 
-LONGEST = 200  # characters of a line
-
-
-@dataclasses.dataclass(frozen=True)
-class About:
-    """Title, author and revision of a study; "" for a missing entry.
-
-    Attributes:
-        title: of the report; "" for the name of the study.
-        author: person responsible for the values.
-        revision: of the study or of the drawing.
-    """
-
-    title: str = ""
-    author: str = ""
-    revision: str = ""
-
-    def line(self) -> str:
-        """Join all entries in one line; "" without any."""
-        said = [self.title, self.author, f"revision {self.revision}" if self.revision else ""]
-        return "; ".join(filter(None, said))
-
-
-def parse_about(table: Mapping[str, object]) -> About:
-    """Read the table [about].
-
-    Raises:
-        ValueError: names the key and its value.
-    """
-    names = [f.name for f in dataclasses.fields(About)]
-    known(table, names, "about")
-    return About(**{key: _line(value, f"about.{key}") for key, value in table.items()})
-
-
-def _line(value: object, where: str) -> str:
-    if isinstance(value, int) and not isinstance(value, bool):  # a revision that is counted
-        value = str(value)
-    if not isinstance(value, str) or not value.strip() or not value.isprintable() or len(value) > LONGEST:
-        raise ValueError(f"{where} = {value!r}: must be a text of one line, at most {LONGEST} characters")
-    return value.strip()
+SPAN, WHOLE = "the span", "a turn of the output"  # in the meaning of an output; the longest span
 
 
 @dataclass(frozen=True)
@@ -351,14 +309,31 @@ class Study:
         for name in self.requirements:
             lines.setdefault(described[name].unknown, []).append(name)
         lines.pop("", None)
-        return [f"{line} (for {', '.join(names)})" if len(lines) > 1 else line for line, names in lines.items()]
+        said = [f"{line} (for {', '.join(names)})" if len(lines) > 1 else line for line, names in lines.items()]
+        known = models.kind(self.design).outputs
+        parts = {name: span for name in self.requirements if SPAN in known[name].meaning and (span := self._span(name))}
+        short = [name for name, span in parts.items() if span != WHOLE]
+        if short:
+            said.append(f"{WHOLE}: {', '.join(short)} {'are' if len(short) > 1 else 'is'} read over {parts[short[0]]}")
+        return said
+
+    def _span(self, name: str) -> str:
+        """Part of a turn of the output over which a response is read; "" for a response of no curve."""
+        curve = models.kind(self.design).described[name].curve
+        if curve is None or curve.turns is None:
+            return ""
+        turns = curve.turns(self.design, self.conditions)
+        return WHOLE if turns == 1 else f"{360 * turns:.3g} deg of the output"
 
     @property
     def curve(self) -> Curve | None:
         """Curve for plots, or None."""
-        return models.kind(self.design).curve(tuple(self.requirements))
+        found = models.kind(self.design).curve(tuple(self.requirements))
+        name = next((name for name in self.requirements if models.kind(self.design).described[name].curve == found), "")
+        return found and dataclasses.replace(found, title=found.title.replace(SPAN, self._span(name) or SPAN))
 
     def output(self, name: str) -> Output:
-        """Output of a response, shown in the measurement unit of its limit."""
+        """Output of a response, shown in the measurement unit of its limit, with its span in words."""
         output = models.kind(self.design).outputs[name]
-        return dataclasses.replace(output, read_in=self.read_in.get(name, output.read_in))
+        meaning = output.meaning.replace(SPAN, self._span(name) or SPAN)
+        return dataclasses.replace(output, read_in=self.read_in.get(name, output.read_in), meaning=meaning)

@@ -114,11 +114,12 @@ def growth(numbers: Numbers, process: str, path: str) -> float:
     return round(float(own / example), 2)
 
 
-def completed(given: Known, _: CycloidalReducer) -> tuple[Numbers, dict[str, Assumed]]:
+def completed(given: Known, example: CycloidalReducer) -> tuple[Numbers, dict[str, Assumed]]:
     """Numbers of a drive that are taken over, and those that its source lacks or only assumes.
 
     Args:
         given: the drive as its source gives it.
+        example: of the embedded study; not read, because the nearest known drive is closer.
     """
     process, material, near = process_of(given), material_of(given), _nearest(given.numbers)
     table, own, donor = PROCESSES[process], MATERIALS[material], BASES[near]
