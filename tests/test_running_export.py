@@ -5,7 +5,9 @@ Oracles: the simulator itself, an integration with the law of LossyGear, parsers
 
 import json
 import re
+import runpy
 import xml.etree.ElementTree as ElementTree
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from rvjax import running
 from rvjax.running import FORMATS, Header
 from rvjax.status import SolveInfo
 
+ROOT = Path(__file__).parents[1]
 NUMBERS = dict(
     ratio=121.0,
     half_backlash=2e-4,
@@ -119,6 +122,23 @@ def test_mujoco_gives_back_backlash_stiffness_and_friction():
         ends[parts] = np.stack([60 - viscous * speeds[0], viscous])
     np.testing.assert_allclose(ends["both"], [[18, 18], [5, 5]], rtol=1e-3)
     np.testing.assert_allclose(ends["apart"], [[10, 8], [3, 2]], rtol=1e-3)
+
+
+def test_a_step_of_the_page_has_the_friction_of_the_load():
+    """Settled speeds by hand, with the motor driving and with the load driving against it: 18 N m and 5 N m s/rad."""
+    mujoco = pytest.importorskip("mujoco")
+    page = ROOT / "docs" / "mujoco_friction.py"
+    recipe = runpy.run_path(str(page))
+    model = mujoco.MjModel.from_xml_string(written("mjcf"))
+    out = model.joint("output").dofadr[0]
+    for motor, load in ((60.0, 0.0), (60.0, -200.0), (-60.0, 0.0)):
+        data = mujoco.MjData(model)
+        data.ctrl[0], data.qfrc_applied[out] = motor / 121, load
+        for _ in range(round(4 / model.opt.timestep)):
+            recipe["step"](model, data)
+        sense = np.sign(motor + load)
+        friction = 0.109 * abs(motor) * sense - 0.002 * motor + 18 * sense
+        assert data.qvel[out] == pytest.approx((motor + load - friction) / 5, rel=2e-3)
 
 
 def test_mujoco_reads_the_urdf():

@@ -21,6 +21,7 @@ from rvjax.status import MEANING, SUCCESS, Status
 from rvjax.study import StudyError, naming
 
 SOLVING = "joint model"
+TIGHT = "warning: the nominal unit has no clearance, but real units have; --unit median has that of random units"
 LOW = ("stiffness", "mu_dif")
 """Numbers of which the low values are unfavourable."""
 
@@ -132,5 +133,9 @@ def report(inputs: ExportInputs, found: tuple[Joint, Header]) -> Report:
         data={"study": header.study, "unit": header.unit, "format": inputs.form} | numbers,
         exports={inputs.file: content},
         told={"file": str(inputs.file)},
-        closing=(f"{inputs.file}: {inputs.form}", *filter(None, [FORMATS[inputs.form].remark(joint)])),
+        closing=(
+            f"{inputs.file}: {inputs.form}",
+            *filter(None, [FORMATS[inputs.form].remark(joint)]),
+            *([TIGHT] if inputs.unit == "nominal" and numbers["half_backlash"] == 0 else []),
+        ),
     )
