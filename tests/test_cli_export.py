@@ -104,6 +104,23 @@ def test_bad_input_is_one_line_and_writes_nothing(folder, capsys, arguments, wor
     assert sorted(folder.iterdir()) == before and (folder / "there.json").read_text() == "mine"
 
 
+@pytest.mark.parametrize(("size", "warned"), [("0 um", True), ("1 um", False)])
+def test_a_nominal_unit_without_clearance_is_warned_of(folder, monkeypatch, capsys, size, warned):
+    monkeypatch.setattr(running, "joint", lambda design, errors, **_: tight(design))
+
+    def tight(design):
+        numbers = dict.fromkeys(running.units(running.Joint), jnp.ones(()))
+        numbers |= dict(half_backlash=design.cycloid.equidistant_modification, ratio=jnp.float64(-17))
+        return running.Joint(**numbers, info=SolveInfo(jnp.int32(0), jnp.int32(1), jnp.float64(0)))
+
+    drive = (folder / "drive.toml").read_text()
+    (folder / "tight.toml").write_text(
+        drive.replace('base = "cycloidal-17"', f'base = "cycloidal-17"\ncycloid.equidistant_modification = "{size}"', 1)
+    )
+    assert cli.main(["export", "tight.toml", "t.json", "--quiet"]) == 0
+    assert ("warning: the nominal unit has no clearance" in capsys.readouterr().out) == warned
+
+
 def test_conditions_of_a_joint_model_count_as_read():
     """Of a design alone, and of one with friction whose required responses do not read them."""
     alone = STUDY.partition("[tolerances")[0]
