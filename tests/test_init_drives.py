@@ -3,7 +3,9 @@
 The table of milled drives gives the embedded study cycloidal-17, which is older than the table.
 """
 
+import dataclasses
 import itertools
+import math
 import re
 from types import SimpleNamespace
 
@@ -16,7 +18,9 @@ from rvjax import catalogue, cli, geometry, study
 from rvjax.commands import check
 from rvjax.commands.cells import rejects_texts
 from rvjax.commands.init import written
+from rvjax.study import Response
 from rvjax.study.kinds import changed, cycloidal, drive_starts, number_at
+from rvjax.tolerances import Requirement
 from rvjax.units import arcmin, mm, um
 
 BASES, PROCESSES = ("cycloidal-15", "cycloidal-17", "cycloidal-29"), ("milled", "wire-cut", "printed", "ground")
@@ -171,6 +175,28 @@ def test_the_share_that_jams_and_the_clearances_with_which_99_percent_turn():
     assert float(re.search(r"have ([\d.]+) arcmin less", line)[1]) == pytest.approx(less, rel=0.05)
     (line,) = cycloidal.turning(base, tolerances, fitting - 12 * um)
     assert "100 % of 1,000 units jam" in line and "equidistant_modification 63 um" in line and "arcmin more" in line
+
+
+def test_the_assumed_number_that_would_meet_a_limit(monkeypatch):
+    """A line contact: pressure ~ (modulus / width)^(1/2), so that 1.2 times the limit takes 1.44 times the width."""
+    made = read(written("cycloidal-17").text)
+    width = next(number for number in made.numbers if number.path == "contact.face_width")
+    alone = [dataclasses.replace(width, assumed=True), *(n for n in made.numbers if n.path == "cycloid.disc_count")]
+    monkeypatch.setattr(study.Study, "numbers", alone)
+    limit = made.requirements["nominal"] = Requirement(upper=1e8)
+
+    def pressure(response, errors):
+        return SimpleNamespace(value={"nominal": 1.2e8 * (6.35e-3 / response.design.contact.face_width) ** 0.5})
+
+    monkeypatch.setattr(
+        study.Study, "response_of", lambda self, name: Response.of(self.design, ("hole_gap",), self.conditions)
+    )
+    monkeypatch.setattr(check, "outcome_of", pressure)
+    assert check._remedy(made, "nominal", 1.2e8) == (
+        "contact.face_width = 9.144 mm would meet it, to first order; 6.35 mm is assumed"
+    )
+    made.requirements["nominal"] = dataclasses.replace(limit, upper=0.5e8)  # 5.8 times the width is no remedy
+    assert check._remedy(made, "nominal", 1.2e8) == "" == check._remedy(made, "nominal", math.inf)
 
 
 def test_units_without_clearance_jam_in_words():

@@ -5,20 +5,21 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+import jax
 import numpy as np
 
 from rvjax import models, study
 from rvjax.base.progress import begin
 from rvjax.commands import READING, Inputs, option, study_argument
 from rvjax.commands.cells import assumed_text, condition_text, limit_text, limits_data, limits_of
-from rvjax.commands.forecast import choices, doubts_of_unit, expected, level_lines
+from rvjax.commands.forecast import choices, doubts_of_unit, expected, level_lines, missed_at_mid_points
 from rvjax.levels import Choice
 from rvjax.outputs import Output
 from rvjax.population import Population, root_key
 from rvjax.render import Figure, Limits, Note, Number, Report, Table, Text
 from rvjax.response import respond_units
-from rvjax.status import Status
-from rvjax.study import KINDS, Response, Study, facts_of, kind_of, numbers, shown
+from rvjax.status import SUCCESS, Status
+from rvjax.study import KINDS, Response, Study, facts_of, kind_of, mid_points, number_at, numbers, outcome_of, shown
 from rvjax.units import with_unit
 
 
@@ -57,6 +58,7 @@ class Checked:
         values: required outputs of the unit at the mid-points of all tolerances, SI.
         status: of this unit.
         turning: lines on the share that jams; of drives.
+        remedies: text on an assumed number, by limit that this unit misses.
     """
 
     facts: list[tuple[str, str]]
@@ -65,6 +67,7 @@ class Checked:
     values: dict[str, float]
     status: Status
     turning: list[str]
+    remedies: dict[str, str]
 
 
 SOLVING = "unit at the mid-points"
@@ -86,7 +89,9 @@ def compute(inputs: CheckInputs) -> Checked:
     begin(SOLVING)
     values, status = study.at_mid_points(study.further) if study.requirements else ({}, Status.CONVERGED)
     facts, turning = list(facts_of(study.design)), _turning(study)
-    return Checked(facts, _magnitudes(study), choices(study), values, status, turning)
+    missed = missed_at_mid_points(study, values) if status in SUCCESS else {}
+    remedies = {name: text for name in missed if (text := _remedy(study, name, values[name]))}
+    return Checked(facts, _magnitudes(study), choices(study), values, status, turning, remedies)
 
 
 def _turning(study: Study) -> list[str]:
@@ -209,7 +214,39 @@ def whole_line(study: Study, source: str) -> str:
 
 
 def _warnings(study: Study, found: Checked) -> list[str]:
-    return study.doubts + study.inaccurate() + doubts_of_unit(study, found.values, found.status)
+    lines = study.doubts + study.inaccurate() + doubts_of_unit(study, found.values, found.status)
+    return lines + [f"{name}: {text}" for name, text in found.remedies.items()]
+
+
+FARTHEST = 3.0  # ratio of an assumed number to its value beyond which it is no remedy
+
+
+def _remedy(study: Study, name: str, value: float) -> str:
+    """Text on the assumed number whose smallest change meets a limit at the mid-points, to first order; "" for none.
+
+    Value and number follow a power law whose exponent is their slope at the number of the study.
+    """
+    if not math.isfinite(value) or not value:
+        return ""
+    limits, errors = study.requirements[name], mid_points(study.tolerances, study.design.error_record)
+    response = study.response_of(name)
+    slopes = jax.grad(lambda design: outcome_of(response.replace(design=design), errors).value[name])(study.design)
+    due = min((limits.lower, limits.upper), key=lambda limit: abs(limit - value)) / value
+    found = []
+    for number in study.numbers:
+        slope = number_at(slopes, number.path)
+        if not number.assumed or np.ndim(number.value) or isinstance(number.value, int | str) or not number.value:
+            continue
+        exponent = float(slope) * float(number.value) / value
+        if due > 0 and abs(exponent) * math.log(FARTHEST) > abs(math.log(due)):
+            ratio = due ** (1 / exponent)
+            found.append(
+                (abs(math.log(ratio)), number.path, *(shown(r * number.value, number.unit) for r in (ratio, 1)))
+            )
+    if not found:
+        return "the limit is assumed" if name in study.assumed_limits else ""
+    _, path, new, old = min(found)
+    return f"{path} = {new} would meet it, to first order; {old} is assumed"
 
 
 def _data(study: Study, found: Checked) -> dict[str, object]:

@@ -86,14 +86,24 @@ def doubts_of_unit(study: Study, values: Mapping[str, float], status: Status) ->
     """
     if status not in SUCCESS:
         return [f"the unit at the mid-points cannot be solved: {status.name} ({MEANING[status]})"]
+    return list(missed_at_mid_points(study, values).values())
+
+
+def missed_at_mid_points(study: Study, values: Mapping[str, float]) -> dict[str, str]:
+    """Lines of `doubts_of_unit` on limits, by response.
+
+    Args:
+        study: with the limits.
+        values: of the unit, SI.
+    """
     moves = ["mid-points"] if study.middles or any(map(grows_from_lower, scalars(study.tolerances).values())) else []
     moves += ["numbers of the design"] if study.variables else []
     unless = f" unless {' or '.join(moves)} move" if moves else ""
-    lines = []
+    lines = {}
     for name, limits in study.requirements.items():
         if limits.limits_values and getattr(limits, "target", 1.0) > 0.5 and limits.margin(values[name]) > 0:
             shown_value = against_limit(values[name], limits, study.output(name))
-            lines.append(f"{name}: {shown_value}, at the mid-points: no tolerance can meet this{unless}")
+            lines[name] = f"{name}: {shown_value}, at the mid-points: no tolerance can meet this{unless}"
     return lines
 
 

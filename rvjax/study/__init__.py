@@ -44,7 +44,12 @@ from rvjax.study.problem import (
     problem as inverse_problem,
 )
 from rvjax.study.reader import EMBEDDED, embedded_names, load, parse_study, template as study_template
-from rvjax.study.response import CURVE as CURVE, Response as Response, refuse as refuse
+from rvjax.study.response import (
+    CURVE as CURVE,
+    Response as Response,
+    outcome_of as outcome_of,
+    refuse as refuse,
+)
 from rvjax.study.study import Study, StudyError
 from rvjax.study.tolerances import mid_points as mid_points, scalars as scalars, stated_by as stated_by
 from rvjax.study.values import (
