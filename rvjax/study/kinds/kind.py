@@ -38,6 +38,7 @@ class Law:
         source: of the scaling law.
         whole: for a reducer of another size only, not where single numbers change.
         exact: kinematics, also used without scaling laws: gears that do not obey it do not mesh.
+        unless: path of a number; a design that has it does not obey the law. "": every design does.
     """
 
     name: str
@@ -47,6 +48,11 @@ class Law:
     source: str
     whole: bool = False
     exact: bool = False
+    unless: str = ""
+
+    def holds(self, design: object) -> bool:
+        """True for a design that obeys the law."""
+        return not self.unless or number_at(design, self.unless) is None
 
 
 @dataclass(frozen=True)
@@ -78,7 +84,7 @@ class Following:
         """The design with other numbers, and with all that follows, see `rvjax.study.scaled`."""
         stands, new = {*values, *given}, dict[str, PyTree](values)
         for law in self.laws:
-            used = (similar or law.exact) and (whole or not law.whole)
+            used = (similar or law.exact) and (whole or not law.whole) and law.holds(design)
             ratios = {p: new[p] / number_at(design, p) for p in law.follows if used and new.get(p) is not None}
             for path in law.numbers if ratios else ():
                 own = number_at(design, path)
@@ -98,7 +104,7 @@ class Following:
         """
         moving, found = set(paths), []
         for law in self.laws:
-            if law.whole or not moving & set(law.follows):
+            if law.whole or not moving & set(law.follows) or not law.holds(design):
                 continue
             numbers = [path for path in law.numbers if path not in {*paths, *given} and _there(design, path)]
             moving |= set(numbers)

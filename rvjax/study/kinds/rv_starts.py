@@ -11,11 +11,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from rvjax.catalogue import ASSUMED, RV_40E_WHOLE, fields_of_kind, shown
-from rvjax.designs import InvoluteStage, RollerBearing, RVReducer
+from rvjax.bearings import RollingBearing
+from rvjax.catalogue import ASSUMED, RV_40E_WHOLE, fields_of_kind, part_class, shown
+from rvjax.designs import Bearings, InvoluteStage, RVReducer
 from rvjax.life import static_rating
 from rvjax.population import it_width
-from rvjax.records import Scalar
+from rvjax.records import PyTree, Scalar
 from rvjax.study.kinds.kind import Assumed, Known, Law, Numbers, Start, number_at, outside
 from rvjax.study.kinds.rv_facts import AXIAL, FOLLOWING, KNOWN_REDUCERS, LAWS, NAMES, RATED, SIZES
 from rvjax.study.values import in_unit
@@ -63,7 +64,7 @@ def completed(given: Numbers) -> dict[str, Assumed]:
     found = _geometry(given)
     numbers = {**given, **{path: item.value for path, item in found.items()}}
     follows = {path: numbers[path] for path in NAMES if path in numbers}
-    for path, _, default in fields_of_kind(RVReducer):
+    for path, _, default in fields_of_kind(RVReducer, given=given):
         if path.split(".")[0] not in PARTS or path in numbers or path in PLACES:
             continue
         if default is not dataclasses.MISSING and _law_of(path) is None:
@@ -211,7 +212,7 @@ def tolerance_ratios(numbers: Numbers) -> dict[str, tuple[float, str]]:
     return found
 
 
-def arm_force(bearing: RollerBearing) -> float:
+def arm_force(bearing: RollingBearing) -> float:
     """Largest force of a turning-arm bearing at rated torque for static safety at start and stop, N.
 
     Args:
@@ -265,7 +266,7 @@ def _tables(text: str, numbers: Numbers, torque: Assumed | None) -> str:
     """
     assert torque is not None
     arm = {path.removeprefix(IN_DISC): x for path, x in numbers.items() if path.startswith(IN_DISC)}
-    bearing = RollerBearing(**arm)
+    bearing: PyTree = part_class(Bearings, "arm", arm)(**arm)
     ratios, limit = tolerance_ratios(numbers), arm_force(bearing)
     bore = numbers[ARM] / number_at(RV_40E_WHOLE, ARM)
     similar = all(ratio == 1 for ratio, _ in ratios.values())
