@@ -14,7 +14,7 @@ Number = TypeVar("Number", float, Array, np.ndarray)
 
 
 class RollingBearing(Record):
-    """What a roller bearing and a ball bearing have in common."""
+    """A radial bearing with rollers or balls: the common part of both classes."""
 
     element: ClassVar[str]  # its fields begin with it
     life_exponent: ClassVar[float]  # life = 1e6 (C / P)^exponent, ISO 281
@@ -90,7 +90,7 @@ class BallBearing(RollingBearing):
     balls: int = count("balls of a row, Z", minimum=3, maximum=1000)
     ball_diameter: Any = field("m", "diameter of a ball, D", sign="positive")
     pitch_diameter: Any = field("m", "diameter of the circle of ball centres, dm", sign="positive")
-    rows: int = count("rows of balls, i", maximum=10, default=1)
+    rows: int = count("rows of balls, i; two: rating_factor times 0.90/0.95, as in ISO 281", maximum=10, default=1)
     inner_groove: Any = field("-", "radius of the inner groove over D, fi; above 0.5", default=0.52, sign="positive")
     outer_groove: Any = field("-", "radius of the outer groove over D, fe; above 0.5", default=0.52, sign="positive")
     rating_factor: Any = field("-", "bm: 1.3; 1.1 with filling slots", default=1.3, sign="positive")

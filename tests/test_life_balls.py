@@ -238,7 +238,8 @@ def test_a_system_has_the_slopes_of_the_implicit_equation():
     due = [one / sum(np.sum(e * (r / found) ** e) for r, e in zip(RATES, SLOPES)) for one in each]
     for one, other in zip(jax.grad(whole, argnums=(0, 1))(*RATES), due):
         np.testing.assert_allclose(one, other, rtol=1e-12)
-    still = jax.value_and_grad(whole, argnums=(0, 1))(0 * RATES[0], 0 * RATES[1])
+    with jax.debug_nans(True):
+        still = jax.value_and_grad(whole, argnums=(0, 1))(0 * RATES[0], 0 * RATES[1])
     assert all(not np.any(x) for x in jax.tree.leaves(still))
     single = whole(*(jnp.asarray(r, jnp.float32) for r in RATES))
     assert single.dtype == jnp.float32 and float(single) == pytest.approx(found, rel=1e-6)
@@ -431,6 +432,7 @@ def test_a_study_reads_balls_in_the_place_of_rollers():
     assert float(arm.ball_diameter) == 2.5 * mm
     dotted = 'bearings.arm.pitch_diameter = "15 mm"'
     changed = parsed(dotted).design.bearings.arm
+    assert catalogue.part_class(Bearings, "arm", ["pitch_diameter"], ARM) is BallBearing  # as the base has
     assert type(changed) is RollerBearing and changed.rollers == 11 and changed.pitch_diameter == 15 * mm
 
 

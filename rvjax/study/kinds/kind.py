@@ -38,7 +38,7 @@ class Law:
         source: of the scaling law.
         whole: for a reducer of another size only, not where single numbers change.
         exact: kinematics, also used without scaling laws: gears that do not obey it do not mesh.
-        unless: path of a number; a design that has it does not obey the law. "": every design does.
+        unless: path of a number; a design that has it does not obey the scaling law. "": every one does.
     """
 
     name: str
@@ -51,7 +51,7 @@ class Law:
     unless: str = ""
 
     def holds(self, design: object) -> bool:
-        """True for a design that obeys the law."""
+        """True for a design that obeys the scaling law."""
         return not self.unless or number_at(design, self.unless) is None
 
 
