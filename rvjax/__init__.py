@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from rvjax import catalogue, plotting, units
     from rvjax.cycloidal import CycloidalErrors, CycloidalReducer, CycloidalStiffness, OutputPins
     from rvjax.designs import (
+        BallBearing,
         Bearings,
         CamRollerReducer,
         Contact,
@@ -36,7 +37,7 @@ __version__ = "0.2.0"
 _HOMES = {
     "cycloidal": "CycloidalErrors CycloidalReducer CycloidalStiffness OutputPins",
     "designs": (
-        "Bearings CamRollerReducer Contact CrankStage CycloidStage Damping Friction Inertia InvoluteStage "
+        "BallBearing Bearings CamRollerReducer Contact CrankStage CycloidStage Damping Friction Inertia InvoluteStage "
         "MeshVariation RVReducer RollerBearing Stiffness"
     ),
     "dynamics": (

@@ -1,10 +1,10 @@
-"""Roller bearings of the cranks, and friction of a reducer by place. No maker publishes coefficients of friction.
+"""Roller and ball bearings of the cranks, and friction of a reducer by place. No maker publishes its coefficients.
 
-Of a bearing: its rollers, its ratings where a maker gives them, and where it sits.
+Of a bearing: its rollers or balls, its ratings where a maker gives them, and where it sits.
 """
 
 import math
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -13,9 +13,56 @@ from rvjax.records import Array, Record, concrete, count, field, quantity, recor
 Number = TypeVar("Number", float, Array, np.ndarray)
 
 
+class RollingBearing(Record):
+    """A radial bearing with rollers or balls: the common part of both classes."""
+
+    element: ClassVar[str]  # its fields begin with it
+    life_exponent: ClassVar[float]  # life = 1e6 (C / P)^exponent, ISO 281
+    weibull_slope: ClassVar[float]  # of the lives of such bearings
+
+    pitch_diameter: Any
+    contact_angle: Any
+    rating_factor: Any
+    capacity: Any
+    static_capacity: Any
+
+    @property
+    def elements(self) -> int:
+        """Rollers or balls of a row, Z."""
+        return int(getattr(self, f"{self.element}s"))
+
+    @property
+    def element_diameter(self) -> Any:
+        """Diameter of a roller or a ball, m."""
+        return getattr(self, f"{self.element}_diameter")
+
+    def _check(self) -> None:
+        kind, size, circle = type(self).__name__, self.element_diameter, self.pitch_diameter
+        if concrete(size, circle):
+            most = largest_roller(self.elements, np.asarray(circle))
+            given = f"{kind}.{self.element}_diameter = {quantity(size, 'm')}"
+            if np.any(np.asarray(size) >= np.asarray(circle)):
+                raise ValueError(f"{given}: must be less than pitch_diameter = {quantity(circle, 'm')}")
+            if np.any(np.asarray(size) > most * (1 + 1e-12)):
+                raise ValueError(
+                    f"{given}: must be at most {quantity(most, 'm')}; {self.elements} {self.element}s overlap "
+                    f"on pitch_diameter = {quantity(circle, 'm')}"
+                )
+        angle = np.asarray(self.contact_angle) if concrete(self.contact_angle) else np.zeros(())
+        if np.any((angle < 0) | (angle >= math.pi / 2)):
+            raise ValueError(
+                f"{kind}.contact_angle = {quantity(self.contact_angle, 'rad')}: must lie between 0 and pi/2; "
+                f"multiply degrees by rvjax.units.deg"
+            )
+
+
 @record
-class RollerBearing(Record):
+class RollerBearing(RollingBearing):
     """A radial roller bearing. Both ratings follow from the rollers (ISO 281, ISO 76) unless they are given."""
+
+    element: ClassVar[str] = "roller"
+    life_exponent: ClassVar[float] = 10 / 3
+    weibull_slope: ClassVar[float] = 9 / 8
 
     rollers: int = count("rollers of a row, Z", minimum=3, maximum=1000)
     roller_diameter: Any = field("m", "diameter of a roller at its middle, Dwe", sign="positive")
@@ -28,24 +75,44 @@ class RollerBearing(Record):
     capacity: Any = field("N", "dynamic rating C where it is given", default=None, sign="positive")
     static_capacity: Any = field("N", "static rating C0 where it is given", default=None, sign="positive")
 
+
+LARGEST_BALL = 0.4  # over the pitch diameter: end of the tables of ISO 281 and ISO 76
+
+
+@record
+class BallBearing(RollingBearing):
+    """A radial groove ball bearing. Both ratings follow from the balls (ISO 281, ISO 76) unless they are given."""
+
+    element: ClassVar[str] = "ball"
+    life_exponent: ClassVar[float] = 3.0
+    weibull_slope: ClassVar[float] = 10 / 9
+
+    balls: int = count("balls of a row, Z", minimum=3, maximum=1000)
+    ball_diameter: Any = field("m", "diameter of a ball, D", sign="positive")
+    pitch_diameter: Any = field("m", "diameter of the circle of ball centres, dm", sign="positive")
+    rows: int = count("rows of balls, i; two: rating_factor times 0.90/0.95, as in ISO 281", maximum=10, default=1)
+    inner_groove: Any = field("-", "radius of the inner groove over D, fi; above 0.5", default=0.52, sign="positive")
+    outer_groove: Any = field("-", "radius of the outer groove over D, fe; above 0.5", default=0.52, sign="positive")
+    rating_factor: Any = field("-", "bm: 1.3; 1.1 with filling slots", default=1.3, sign="positive")
+    contact_angle: Any = field("rad", "between ball load and radial plane; enters the ratings", default=0.0)
+    capacity: Any = field("N", "dynamic rating C where it is given", default=None, sign="positive")
+    static_capacity: Any = field("N", "static rating C0 where it is given", default=None, sign="positive")
+
     def _check(self) -> None:
-        if concrete(self.roller_diameter, self.pitch_diameter):
-            roller, circle = np.asarray(self.roller_diameter), np.asarray(self.pitch_diameter)
-            given = f"RollerBearing.roller_diameter = {quantity(self.roller_diameter, 'm')}"
-            if np.any(roller >= circle):
-                raise ValueError(f"{given}: must be less than pitch_diameter = {quantity(self.pitch_diameter, 'm')}")
-            if np.any(roller > largest_roller(self.rollers, circle) * (1 + 1e-12)):
-                most = quantity(largest_roller(self.rollers, self.pitch_diameter), "m")
-                raise ValueError(
-                    f"{given}: must be at most {most}; {self.rollers} rollers overlap "
-                    f"on pitch_diameter = {quantity(self.pitch_diameter, 'm')}"
-                )
-        angle = np.asarray(self.contact_angle) if concrete(self.contact_angle) else np.zeros(())
-        if np.any((angle < 0) | (angle >= math.pi / 2)):
+        super()._check()
+        size, circle = self.ball_diameter, self.pitch_diameter
+        if concrete(size, circle) and np.any(np.asarray(size) > LARGEST_BALL * np.asarray(circle) * (1 + 1e-12)):
             raise ValueError(
-                f"RollerBearing.contact_angle = {quantity(self.contact_angle, 'rad')}: must lie between 0 and pi/2; "
-                f"multiply degrees by rvjax.units.deg"
+                f"BallBearing.ball_diameter = {quantity(size, 'm')}: must be at most {LARGEST_BALL:g} of "
+                f"pitch_diameter = {quantity(circle, 'm')}, where the tables of ISO 281 and ISO 76 end"
             )
+        for name in ("inner_groove", "outer_groove"):
+            groove = getattr(self, name)
+            if concrete(groove) and np.any((np.asarray(groove) <= 0.5) | (np.asarray(groove) > 1)):
+                raise ValueError(
+                    f"BallBearing.{name} = {quantity(groove, '-')}: must be above 0.5 and at most 1, "
+                    f"the radius of the groove over the ball diameter"
+                )
 
 
 def largest_roller(rollers: int, pitch_diameter: Number) -> Number:
@@ -63,11 +130,11 @@ class Bearings(Record):
     """Bearings of every crank: one in each disc (arm), two in the carrier (support).
 
     Axial positions count from support 0; all three are given, or none. Without them each support carries half.
-    A preload means tapered support bearings that are set against each other.
+    A preload means tapered support bearings that are set against each other. Each bearing has rollers or balls.
     """
 
-    arm: RollerBearing = field("-", "crank or eccentric in a disc", kind="record")
-    support: RollerBearing | None = field(
+    arm: RollerBearing | BallBearing = field("-", "crank or eccentric in a disc", kind="record")
+    support: RollerBearing | BallBearing | None = field(
         "-", "crank in the carrier; None: not rated, as for a single-stage drive", kind="record", default=None
     )
     disc_position: Any = field("m", "of each disc from support 0", shape=("discs",), default=None)
@@ -91,6 +158,13 @@ class Bearings(Record):
         missing = [name for name in places if getattr(self, name) is None]
         if missing and len(missing) < len(places):
             raise ValueError(f"Bearings.{missing[0]} = None: give all of {', '.join(places)} in m, or none")
+        if isinstance(support, BallBearing) and self.preload is not None:
+            raise ValueError("Bearings.preload: is of tapered supports; must be None with a BallBearing as support")
+        if isinstance(support, BallBearing) and _angled(support):
+            raise ValueError(
+                f"Bearings.support.contact_angle = {quantity(support.contact_angle, 'rad')}: must be 0 for a "
+                f"BallBearing; angular contact under axial load is not modelled"
+            )
         if self.preload is None and _angled(support):
             assert support is not None
             raise ValueError(
@@ -151,7 +225,7 @@ class Friction(Record):
             raise ValueError(f"Friction.gear_meshes = {quantity(share, '-')}: must be below 1, a share of the power")
 
 
-def _angled(bearing: RollerBearing | None) -> bool:
+def _angled(bearing: RollingBearing | None) -> bool:
     """True if a bearing has a concrete contact angle other than 0."""
     angle = getattr(bearing, "contact_angle", None)
     return angle is not None and concrete(angle) and bool(np.any(np.asarray(angle) != 0))

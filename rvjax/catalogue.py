@@ -11,7 +11,7 @@ import tomllib
 import typing
 import warnings
 import weakref
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from importlib import resources
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
@@ -35,10 +35,31 @@ R = TypeVar("R")
 Read = TypeVar("Read", bound=Record)
 
 
-def part_class(cls: type, name: str) -> type[Record]:
-    """The class of a field that is a record, optional or not."""
+def part_class(cls: type, name: str, given: Collection[str] = (), own: object = None, where: str = "") -> type[Record]:
+    """The class of a field that is a record, optional or not; of several classes, that of the keys of a table.
+
+    The first field of a class (`rollers`, `balls`) decides, without it the most keys, then the record of the base.
+
+    Args:
+        cls: of the record.
+        name: of its field.
+        given: keys of the table of the part.
+        own: record of the base.
+        where: name of the table, for the message.
+
+    Raises:
+        ValueError: keys that decide for two classes.
+    """
     hint = typing.get_type_hints(cls)[name]
-    return next(item for item in (*typing.get_args(hint), hint) if item is not type(None))
+    options = [item for item in (*typing.get_args(hint), hint) if item is not type(None)]
+    classes: list[type[Record]] = [item for item in options[:-1] or options if isinstance(item, type)]
+    if len(classes) < 2:
+        return options[0]
+    fields = {each: [f.name for f in dataclasses.fields(each)] for each in classes}
+    deciding = [each for each in classes if fields[each][0] in given]
+    if len(deciding) > 1:
+        raise ValueError(f"{where}: {' and '.join(fields[each][0] for each in deciding)}: give one of them")
+    return max(deciding or classes, key=lambda each: (len({*given} & {*fields[each]}), isinstance(own, each)))
 
 
 def _number(value: object, unit: str) -> object:
@@ -49,7 +70,7 @@ def _record(cls: type[Read], table: Mapping[str, object]) -> Read:
     about, values = {f.name: f.metadata for f in dataclasses.fields(cls)}, dict[str, Any]()
     for name, value in table.items():
         if isinstance(value, dict):
-            values[name] = _record(part_class(cls, name), value)
+            values[name] = _record(part_class(cls, name, value), value)
         else:
             values[name] = value if about[name]["kind"] == "count" else _number(value, about[name]["unit"])
     return cls(**values)
@@ -296,16 +317,21 @@ def fields_of(record: PyTree, prefix: str = "") -> Iterator[tuple[str, Mapping[s
             yield prefix + f.name, about
 
 
-def fields_of_kind(cls: type, prefix: str = "") -> Iterator[tuple[str, Mapping[str, Any], object]]:
+def fields_of_kind(
+    cls: type, prefix: str = "", given: Collection[str] = ()
+) -> Iterator[tuple[str, Mapping[str, Any], object]]:
     """(path, metadata, default) of every number that a design may have.
 
     Args:
         cls: of designs, or of a part.
         prefix: of the paths.
+        given: paths of known numbers, which decide between classes of a part, see `part_class`.
     """
     for f in dataclasses.fields(cls):
         if f.metadata["kind"] == "record":
-            yield from fields_of_kind(part_class(cls, f.name), f"{prefix}{f.name}.")
+            own = f"{prefix}{f.name}."
+            keys = [path.removeprefix(own) for path in given if path.startswith(own)]
+            yield from fields_of_kind(part_class(cls, f.name, keys), own, given)
         else:
             yield prefix + f.name, f.metadata, f.default
 

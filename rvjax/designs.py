@@ -12,7 +12,12 @@ from typing import ClassVar, Self
 import jax
 import numpy as np
 
-from rvjax.bearings import Bearings as Bearings, Friction as Friction, RollerBearing as RollerBearing
+from rvjax.bearings import (
+    BallBearing as BallBearing,
+    Bearings as Bearings,
+    Friction as Friction,
+    RollerBearing as RollerBearing,
+)
 from rvjax.errors import CamRollerErrors, RVErrors
 from rvjax.records import Array, Record, Scalar, concrete, count, field, quantity, record
 from rvjax.units import deg

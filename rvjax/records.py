@@ -89,15 +89,17 @@ def field(
     return dataclasses.field(default=default, metadata=metadata)
 
 
-def count(meaning: str, *, minimum: int = 1, maximum: int = 1_000_000) -> Any:
+def count(meaning: str, *, minimum: int = 1, maximum: int = 1_000_000, default: object = dataclasses.MISSING) -> Any:
     """Declare a static count (teeth, pins, cranks ...), an integer of at least `minimum`.
 
     Args:
         meaning: one line.
         minimum: least.
         maximum: beyond which a program neither compiles in time nor fits into memory; study files raise an error.
+        default: as in dataclasses.
     """
-    return dataclasses.field(metadata=dict(unit="-", meaning=meaning, minimum=minimum, maximum=maximum, kind="count"))
+    metadata = dict(unit="-", meaning=meaning, minimum=minimum, maximum=maximum, kind="count")
+    return dataclasses.field(default=default, metadata=metadata)
 
 
 def text(meaning: str, *, default: object = dataclasses.MISSING, choices: tuple[str, ...] = ()) -> Any:

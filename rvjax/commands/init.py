@@ -2,7 +2,7 @@
 
 import tomllib
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import MISSING, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -241,9 +241,12 @@ def _drawn(path: Path) -> Known:
 
 def _lacking(kind: Kind, numbers: Mapping[str, object]) -> list[str]:
     """Numbers that a drawing must have and that these lack, with their meaning, a line each."""
-    about = {path: metadata for path, metadata, _ in fields_of_kind(kind.design)}
-    units = {path: "" if about[path]["unit"] == "-" else f", in {about[path]['unit']}" for path in kind.needed}
-    return [f"{path} ({about[path]['meaning']}{units[path]})" for path in kind.needed if path not in numbers]
+    about, needed = dict[str, Metadata](), [*kind.needed]
+    for path, about[path], default in fields_of_kind(kind.design, given=numbers):
+        if default is MISSING and f"{path.rpartition('.')[0]}.balls" in numbers:
+            needed.append(path)  # no known reducer has balls
+    units = {path: "" if about[path]["unit"] == "-" else f", in {about[path]['unit']}" for path in needed}
+    return [f"{path} ({about[path]['meaning']}{units[path]})" for path in needed if path not in numbers]
 
 
 def _torque(conditions: Mapping[str, object]) -> Assumed | None:
@@ -267,7 +270,7 @@ def lines(given: Known, more: Mapping[str, Assumed], parts: Collection[str], *, 
     """
     numbers = {**given.numbers, **{path: item.value for path, item in more.items()}}
     implied, last, changed = given.kind.implied(numbers), "", {path.rpartition(".")[0] for path in more}
-    for path, about, _ in fields_of_kind(given.kind.design):
+    for path, about, _ in fields_of_kind(given.kind.design, given=numbers):
         part = path.rpartition(".")[0]
         if (path.split(".")[0] not in parts and part) or path not in numbers or numbers[path] is None:
             continue

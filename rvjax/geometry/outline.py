@@ -20,9 +20,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.base.words import choose
+from rvjax.bearings import RollingBearing
 from rvjax.catalogue import undercut
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
-from rvjax.designs import CycloidStage, RollerBearing, RVReducer, expect
+from rvjax.designs import CycloidStage, RVReducer, expect
 from rvjax.errors import RVErrors
 from rvjax.flank import profile
 from rvjax.records import Array, Record, Scalar, concrete, field, promote, quantity, record, text
@@ -231,9 +232,9 @@ def _of_rv(design: RVReducer, errors: RVErrors, part: str, disc: int) -> Circles
     return _around("bore of crank", cranks.circle_radius, cranks.count, _outside(bearing), np.pi), missing
 
 
-def _outside(bearing: RollerBearing) -> Scalar:
-    """Radius outside the rollers of a bearing without an outer ring, m."""
-    return jnp.asarray(bearing.pitch_diameter + bearing.roller_diameter) / 2
+def _outside(bearing: RollingBearing) -> Scalar:
+    """Radius outside the rollers or balls of a bearing without an outer ring, m."""
+    return jnp.asarray(bearing.pitch_diameter + bearing.element_diameter) / 2
 
 
 _CIRCLES: dict[type, Callable[..., Circles]] = {RVReducer: _of_rv, CycloidalReducer: _of_drive}

@@ -15,17 +15,15 @@ from rvjax._jax.kernels import scan
 from rvjax._jax.programs import quick
 from rvjax._jax.sizes import LOADS, padded
 from rvjax.base.words import choose
-from rvjax.bearings import RollerBearing
+from rvjax.bearings import BallBearing, RollerBearing, RollingBearing
 from rvjax.catalogue import checked
 from rvjax.designs import expect
 from rvjax.life.damage import (
-    LIFE,
     METHODS,
-    WEIBULL,
     Damage,
     Ratings,
     basic,
-    check_ratings,
+    check_bearing,
     harmless,
     magnitude,
     points,
@@ -156,12 +154,12 @@ def slices(
         begin = jnp.zeros((_RING, LAMINAE), force.dtype)
         blocks = [padded(x, LOADS, fill=0).reshape(-1, LOADS, *x.shape[1:]) for x in (cosine, approach, weight)]
         damage, _ = scan(jax.checkpoint(block), begin, tuple(blocks))  # Eq. 14
-        return jnp.sum(jnp.mean(power(damage, WEIBULL), axis=0))
+        return jnp.sum(jnp.mean(power(damage, bearing.weibull_slope), axis=0))
 
     total = ring(turned_back(force, angle), ratings.inner) + ring(force, ratings.outer)
-    rate = power(total, 1 / WEIBULL)  # Eq. 15
+    rate = power(total, 1 / bearing.weibull_slope)  # Eq. 15
     info = worst_of(infos)
-    return Damage(ratings.dynamic * power(rate, 1 / LIFE), rate), info
+    return Damage(ratings.dynamic * power(rate, 1 / bearing.life_exponent), rate), info
 
 
 @record
@@ -169,13 +167,13 @@ class BearingLife(Record):
     """Life of one bearing."""
 
     life: Any = field("-", "revolutions that 90 % of such bearings reach; inf without load")
-    load: Any = field("N", "equivalent load, life = 1e6 (C / load)^(10/3)")
+    load: Any = field("N", "equivalent load, life = 1e6 (C / load)^(10/3), of balls ^3")
     info: SolveInfo = field("-", "UNLOADED: no revolution carries load", kind="record")
 
 
 @checked
 def bearing_life(
-    bearing: RollerBearing,
+    bearing: RollingBearing,
     force: Array | np.ndarray,
     *,
     angle: Array | np.ndarray | None = None,
@@ -194,7 +192,8 @@ def bearing_life(
         force: (n, 2) N, in the frame of the outer ring.
         angle: of the inner ring against the outer one, (n,) rad; None: 0. "basic" does not read it.
         weight: share of the revolutions at each force, (n,) >= 0, normalised to sum 1; None: equal.
-        method: "basic" (size of the load), "raceway" (points of both rings) or "slices" (laminae of the rollers).
+        method: "basic" (size of the load), "raceway" (points of both rings) or "slices" (laminae of the rollers);
+            balls have "basic" only.
         clearance: radial (half of the diametral one), m, < 0 counts as 0; "slices" only. The slope at 0 is that of a
             clearance.
         tilt: of the rings against each other in the plane of the load, rad; "slices" only.
@@ -205,12 +204,12 @@ def bearing_life(
         that cannot exist, a weight < 0).
 
     Raises:
-        ValueError: unknown method, tilt without "slices", a dynamic rating too small for the static one, shapes that
-            do not fit.
+        ValueError: unknown method, another one than "basic" with balls, tilt without "slices", a dynamic rating too
+            small for the static one, shapes that do not fit.
     """
-    expect(bearing, "life.bearing_life", RollerBearing)
+    expect(bearing, "life.bearing_life", RollerBearing, BallBearing)
     check_method(method, tilt)
-    check_ratings(bearing, "RollerBearing")
+    check_bearing(bearing, type(bearing).__name__, method)
     shape = np.shape(force)
     if len(shape) != 2 or shape[1] != 2 or not shape[0]:
         raise ValueError(f"force: shape {shape}, must be (n, 2) in N")
@@ -252,7 +251,7 @@ class Looseness(NamedTuple):
 
 
 @quick(0, 1)
-def _bearing_life(method: str, crowned: bool, bearing: RollerBearing, *given: Scalar) -> BearingLife:
+def _bearing_life(method: str, crowned: bool, bearing: RollingBearing, *given: Scalar) -> BearingLife:
     bearing, *numbers = promote(bearing, *given)
     force, angle, weight, clearance, tilt = numbers
     angle, weight = (jnp.broadcast_to(x, force.shape[:1]) for x in (angle, weight))
@@ -288,7 +287,7 @@ def inverse(rate: jax.Array) -> jax.Array:
 
 def damaged(
     method: str,
-    bearing: RollerBearing,
+    bearing: RollingBearing,
     rated: Ratings,
     force: jax.Array,
     angle: jax.Array,
@@ -306,8 +305,12 @@ def damaged(
         weight: (n,), of sum 1, or 0.
         loose: what only "slices" reads.
     """
+    if method == "basic":
+        damage = basic(magnitude(force), weight, rated, bearing.life_exponent)
+        return damage, status.at_once(damage.rate)
+    assert isinstance(bearing, RollerBearing)
     if method == "slices":
         rollers = laminae(bearing, loose.clearance, loose.tilt, loose.crowned)
         return slices(bearing, force, angle, weight, rated, rollers)
-    damage = basic(magnitude(force), weight, rated) if method == "basic" else raceway(force, angle, weight, rated)
+    damage = raceway(force, angle, weight, rated)
     return damage, status.at_once(damage.rate)

@@ -1,4 +1,4 @@
-"""Ratings of a roller bearing, and its damage by a history of loads.
+"""Ratings of a roller or ball bearing, and its damage by a history of loads.
 
 Dynamic and static rating are those of ISO 281 and ISO 76, in N and mm. Damage is `basic`, by the size
 of the loads, or `raceway`, point by point. A damage of 1 is that of a million revolutions at the rating. It is finite
@@ -6,7 +6,7 @@ and 0 without load; lives are inverted last.
 """
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -14,9 +14,9 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from rvjax._jax.elementary import power
-from rvjax.bearings import RollerBearing
+from rvjax.bearings import LARGEST_BALL, BallBearing, RollerBearing, RollingBearing
 from rvjax.designs import expect
-from rvjax.records import concrete, promote, quantity
+from rvjax.records import concrete, promote, quantity, signs_hold
 from rvjax.status import Check, Status
 from rvjax.units import mm
 
@@ -25,52 +25,61 @@ _FACTOR = 551.13373 * 0.377 * REDUCTION  # Eq. 2
 _INNER, _OUTER = 0.378, 0.364  # Eq. 5
 
 
-LEAST = 0.5  # of C / C0 of the rollers: makers' ratings of one bearing differ less
+LEAST = 0.5  # of C / C0 by the size: makers' ratings of one bearing differ less
+Bearing = TypeVar("Bearing", bound=RollingBearing)
+
+
+_STATIC = (
+    14.7, 14.9, 15.1, 15.3, 15.5, 15.7, 15.9, 16.1, 16.3, 16.5, 16.4, 16.1, 15.9, 15.6, 15.4, 15.2, 14.9, 14.7, 14.4,
+    14.2, 14.0, 13.7, 13.5, 13.2, 13.0, 12.8, 12.5, 12.3, 12.1, 11.8, 11.6, 11.4, 11.2, 10.9, 10.7, 10.5, 10.3, 10.0,
+    9.8, 9.6, 9.4,
+)  # fmt: skip
+"""f0 of ISO 76 at g = 0, 0.01 .. 0.40: 4200 MPa under the most loaded ball, on the ring where it is reached first."""
 
 
 class Ratings(NamedTuple):
-    """Load ratings of the rollers of one bearing, N."""
+    """Load ratings of one bearing, N."""
 
     dynamic: jax.Array  # C
     static: jax.Array  # C0
-    inner: jax.Array  # Qi, of one roller on the inner ring
+    inner: jax.Array  # Qi, of one roller on the inner ring; NaN of balls, as no method reads it
     outer: jax.Array  # Qe
 
 
-def dynamic_rating(bearing: RollerBearing) -> jax.Array:
+def dynamic_rating(bearing: RollingBearing) -> jax.Array:
     """Basic dynamic radial load rating C: 90 % of such bearings reach a million revolutions under it. ISO 281.
 
     Args:
-        bearing: its `capacity` if given, else its rollers.
+        bearing: its `capacity` if given, else its rollers or balls.
 
     Returns:
         () N; NaN where traced dimensions are not finite or do not fit.
 
     Raises:
-        ValueError: `bearing` is no RollerBearing.
+        ValueError: `bearing` is neither a RollerBearing nor a BallBearing.
     """
-    expect(bearing, "life.dynamic_rating", RollerBearing)
+    expect(bearing, "life.dynamic_rating", RollerBearing, BallBearing)
     return _rated(bearing)[0]
 
 
-def static_rating(bearing: RollerBearing) -> jax.Array:
-    """Basic static radial load rating C0: a permanent dent of 1e-4 of the roller diameter. ISO 76.
+def static_rating(bearing: RollingBearing) -> jax.Array:
+    """Basic static radial load rating C0: a permanent dent of 1e-4 of the roller or ball. ISO 76.
 
     Args:
-        bearing: its `static_capacity` if given, else its rollers.
+        bearing: its `static_capacity` if given, else its rollers or balls.
 
     Returns:
         () N; NaN where traced dimensions are not finite or do not fit.
 
     Raises:
-        ValueError: `bearing` is no RollerBearing.
+        ValueError: `bearing` is neither a RollerBearing nor a BallBearing.
     """
-    expect(bearing, "life.static_rating", RollerBearing)
+    expect(bearing, "life.static_rating", RollerBearing, BallBearing)
     return _rated(bearing)[1]
 
 
 @jax.jit
-def _rated(bearing: RollerBearing) -> tuple[jax.Array, jax.Array]:
+def _rated(bearing: RollingBearing) -> tuple[jax.Array, jax.Array]:
     bearing = promote(bearing)
     failed = [failed for failed, _ in unfit(bearing)]
     good = ~(failed[0] | failed[1])
@@ -78,35 +87,40 @@ def _rated(bearing: RollerBearing) -> tuple[jax.Array, jax.Array]:
     return jnp.where(good, rated.dynamic, jnp.nan), jnp.where(good, rated.static, jnp.nan)
 
 
-def check_ratings(bearing: RollerBearing, name: str) -> None:
-    """Raise ValueError for a dynamic rating that is too small for the static rating.
+def check_bearing(bearing: RollingBearing, name: str, method: str, argument: str = "method") -> None:
+    """Raise ValueError for a method that balls have not, and a dynamic rating that is too small for the static rating.
 
-    Both are ratings of the same rollers, which fix C / C0 (Eqs. 3, 4). No standard bounds the ratings that a maker
-    gives; less than half of that ratio is an input error here, such as a wrong unit. Traced numbers are not checked.
+    Both are ratings of the same rollers or balls, which fix C / C0 (Eqs. 3, 4, 28, 29). No standard bounds the ratings
+    that a maker gives; less than half of that ratio is an input error here, such as a wrong unit. Traced numbers are
+    not checked.
 
     Args:
         bearing: with or without given ratings.
         name: of the bearing, for the message.
+        method: of the life.
+        argument: name of the method, for the message.
 
     Raises:
-        ValueError: names the rating, its value and its unit.
+        ValueError: names the rating, its value and its unit, or the method.
     """
+    if isinstance(bearing, BallBearing) and method != "basic":
+        raise ValueError(f'{argument} = "{method}": must be "basic"; {name} has balls, not rollers')
     if (bearing.capacity is None and bearing.static_capacity is None) or not concrete(*jax.tree.leaves(bearing)):
         return
-    of_rollers = _rated(bearing.replace(capacity=None, static_capacity=None))
+    by_size = _rated(bearing.replace(capacity=None, static_capacity=None))
     dynamic, static = (np.asarray(x) for x in _rated(bearing))
-    least = LEAST * static * np.asarray(of_rollers[0] / of_rollers[1])
+    least = LEAST * static * np.asarray(by_size[0] / by_size[1])
     if np.any(dynamic < least):
         given = "capacity" if bearing.capacity is not None else "static_capacity"
         value, bound = (quantity(x, "N") for x in (getattr(bearing, given), least))
         rule = f"must be at least {bound}" if given == "capacity" else f"needs a dynamic rating of at least {bound}"
         raise ValueError(
-            f"{name}.{given} = {value}: {rule}, {LEAST:g} of what ISO 281 and ISO 76 give these rollers for C0 = "
-            f"{quantity(static, 'N')}; check the unit"
+            f"{name}.{given} = {value}: {rule}, {LEAST:g} of what ISO 281 and ISO 76 give these {bearing.element}s "
+            f"for C0 = {quantity(static, 'N')}; check the unit"
         )
 
 
-def unfit(bearing: RollerBearing) -> tuple[Check, Check]:
+def unfit(bearing: RollingBearing) -> tuple[Check, Check]:
     """Conditions under which no such bearing exists, each with its status.
 
     Args:
@@ -114,13 +128,13 @@ def unfit(bearing: RollerBearing) -> tuple[Check, Check]:
     """
     numbers = jax.tree.leaves(bearing)
     finite = jnp.all(jnp.stack([jnp.all(jnp.abs(x) < _largest(x)) for x in numbers]))
-    given = (bearing.capacity, bearing.static_capacity)
-    positive = [bearing.roller_diameter, bearing.roller_length, bearing.pitch_diameter, bearing.rating_factor]
-    positive += [x for x in given if x is not None]
-    fits = jnp.all(jnp.stack([x > 0 for x in positive]))
-    fits &= bearing.roller_diameter < bearing.pitch_diameter
-    most = bearing.pitch_diameter * math.sin(math.pi / bearing.rollers)
-    fits &= bearing.roller_diameter <= most * (1 + 1e-6)  # float32 too
+    size, circle = bearing.element_diameter, bearing.pitch_diameter
+    fits = signs_hold(bearing) & (size < circle)
+    fits &= size <= circle * math.sin(math.pi / bearing.elements) * (1 + 1e-6)  # float32 too
+    if isinstance(bearing, BallBearing):
+        fits &= size <= LARGEST_BALL * circle * (1 + 1e-6)
+        for groove in (bearing.inner_groove, bearing.outer_groove):
+            fits &= (groove > 0.5) & (groove <= 1)
     fits &= (bearing.contact_angle >= 0) & (bearing.contact_angle < math.pi / 2)
     return (~finite, Status.NONFINITE), (~fits, Status.INVALID_GEOMETRY)
 
@@ -129,24 +143,27 @@ def _largest(x: jax.Array) -> float:
     return float(jnp.finfo(x.dtype).max) ** (1 / 3)  # products of three stay in the arithmetic
 
 
-def harmless(bearing: RollerBearing, contact_angle: float = 0.0) -> RollerBearing:
+def harmless(bearing: Bearing, contact_angle: float = 0.0) -> Bearing:
     """A bearing of the same structure that exists.
 
     Args:
         bearing: numbers as arrays.
         contact_angle: rad.
     """
-    spare = dict(roller_diameter=1e-3, roller_length=1e-3, contact_angle=contact_angle)
-    spare |= dict(pitch_diameter=2e-3 / math.sin(math.pi / bearing.rollers))
+    spare = dict(roller_diameter=1e-3, roller_length=1e-3, ball_diameter=5e-4, contact_angle=contact_angle)
+    spare |= dict(pitch_diameter=2e-3 / math.sin(math.pi / bearing.elements), inner_groove=0.52, outer_groove=0.52)
     return jax.tree_util.tree_map_with_path(lambda path, _: spare.get(path[-1].name, 1.0), bearing)
 
 
-def ratings(bearing: RollerBearing) -> Ratings:
+def ratings(bearing: RollingBearing) -> Ratings:
     """All ratings of a bearing that exists.
 
     Args:
         bearing: numbers as arrays.
     """
+    if isinstance(bearing, BallBearing):
+        return _of_balls(bearing)
+    assert isinstance(bearing, RollerBearing)
     z, cosine = bearing.rollers, jnp.cos(bearing.contact_angle)
     diameter, length = bearing.roller_diameter / mm, bearing.roller_length / mm
     g = bearing.roller_diameter * cosine / bearing.pitch_diameter  # Eq. 1
@@ -169,8 +186,26 @@ def ratings(bearing: RollerBearing) -> Ratings:
     )
 
 
+def _of_balls(bearing: BallBearing) -> Ratings:
+    """Ratings of a ball bearing that exists."""
+    z, rows, cosine = bearing.balls, bearing.rows, jnp.cos(bearing.contact_angle)
+    d, inner, outer = bearing.ball_diameter / mm, bearing.inner_groove, bearing.outer_groove
+    g = bearing.ball_diameter * cosine / bearing.pitch_diameter  # Eq. 1
+    grooves = power(inner * (2 * outer - 1) / (outer * (2 * inner - 1)), 0.41)
+    ring = power(1.04 * power((1 - g) / (1 + g), 1.72) * grooves, 10 / 3)  # outer against inner
+    size = power(g, 0.3) * power(1 - g, 1.39) * power(1 + g, -1 / 3) * power(2 * inner / (2 * inner - 1), 0.41)
+    fc = 0.95 * 39.9 * power(1 + ring, -0.3) * size  # Eq. 27
+    dynamic, static = bearing.capacity, bearing.static_capacity
+    if dynamic is None:  # Eq. 28
+        of_size = jnp.where(d > 25.4, 3.647 * power(d, 1.4), power(d, 1.8))
+        dynamic = bearing.rating_factor * fc * power(rows * cosine, 0.7) * z ** (2 / 3) * of_size
+    if static is None:  # Eq. 29
+        factor = jnp.interp(g, jnp.arange(len(_STATIC), dtype=g.dtype) / 100, jnp.asarray(_STATIC, g.dtype))
+        static = factor * rows * z * d * d * cosine
+    return Ratings(dynamic, static, *2 * (jnp.full_like(dynamic, jnp.nan),))
+
+
 METHODS = ("basic", "raceway", "slices")
-LIFE, WEIBULL = 10 / 3, 9 / 8  # exponent of life (Eq. 6); slope of a system (Eqs. 8, 15, 24)
 
 _RING = 32  # points of a ring; Eq. 8 to 1e-7; halves of them fill the vectors of a processor
 
@@ -231,26 +266,29 @@ def scale(force: jax.Array) -> jax.Array:
     return jnp.where(largest > 0, largest, 1)
 
 
-def by_load(load: jax.Array, ratings: Ratings) -> Damage:
+def by_load(load: jax.Array, ratings: Ratings, exponent: float) -> Damage:
     """Damage of a million revolutions under an equivalent load. Eq. 6.
 
     Args:
         load: () N.
         ratings: of the bearing.
+        exponent: of its life.
     """
-    return Damage(load, power(load / ratings.dynamic, LIFE))
+    return Damage(load, power(load / ratings.dynamic, exponent))
 
 
-def basic(size: jax.Array, weight: jax.Array, ratings: Ratings) -> Damage:
+def basic(size: jax.Array, weight: jax.Array, ratings: Ratings, exponent: float) -> Damage:
     """Power mean of the loads over the revolutions. Eq. 7.
 
     Args:
         size: of the loads, (n,) N.
         weight: shares of the revolutions, (n,).
         ratings: of the bearing.
+        exponent: of its life.
     """
     largest = scale(size)
-    return by_load(largest * power(jnp.sum(weight * power(size / largest, LIFE)), 1 / LIFE), ratings)
+    mean = power(jnp.sum(weight * power(size / largest, exponent)), 1 / exponent)
+    return by_load(largest * mean, ratings, exponent)
 
 
 def raceway(force: jax.Array, angle: jax.Array, weight: jax.Array, ratings: Ratings) -> Damage:
@@ -280,10 +318,11 @@ def raceway(force: jax.Array, angle: jax.Array, weight: jax.Array, ratings: Rati
         passed = share * _passed(jnp.abs(cosine))  # (F.u)^(40/9) |F|^(-4/9)
         near = jnp.where(cosine > 0, passed, 0)
         damage = jnp.concatenate([jnp.sum(near, axis=0), jnp.sum(passed - near, axis=0)])
-        return jnp.mean(power(damage, WEIBULL))
+        return jnp.mean(power(damage, RollerBearing.weibull_slope))
 
     inner, outer = ring(turned_back(direction, angle)) / J4**4.5, ring(direction) / J45**4.5
-    return by_load(largest * power((inner + x * outer) / (1 + x), 2 / 9), ratings)
+    load = largest * power((inner + x * outer) / (1 + x), 2 / 9)
+    return by_load(load, ratings, RollerBearing.life_exponent)
 
 
 def points(number: int, dtype: DTypeLike) -> jax.Array:

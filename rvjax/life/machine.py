@@ -4,7 +4,7 @@ Loads of the two support bearings of a crank: statics of a beam, and thrust of t
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -15,12 +15,12 @@ import numpy as np
 from rvjax import status
 from rvjax._jax.elementary import power
 from rvjax.base.fields import fit
-from rvjax.bearings import Bearings, RollerBearing
+from rvjax.bearings import Bearings, RollingBearing
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import RVReducer
 from rvjax.errors import Errors
 from rvjax.life.bearing import Looseness, check_method, damaged
-from rvjax.life.damage import WEIBULL, Damage, basic, check_ratings, harmless, magnitude, ratings, unfit
+from rvjax.life.damage import Damage, basic, check_bearing, harmless, magnitude, ratings, unfit
 from rvjax.life.duty import TurnPlan, kind_of
 from rvjax.loaded import BearingForces, Read, check_input, unchecked
 from rvjax.records import PyTree, Scalar, concrete, promote, quantity
@@ -124,7 +124,7 @@ def check_plan(
         check_alone(bearings, type(design).__name__, "Bearings")
     for name, bearing in (("arm", bearings.arm), ("support", bearings.support)):
         if bearing is not None:
-            check_ratings(bearing, f"Bearings.{name}")
+            check_bearing(bearing, f"Bearings.{name}", method)
     check_places(bearings, design.counts, "Bearings")
     if bearings.preload is not None and method != "basic":
         raise ValueError(
@@ -239,23 +239,30 @@ class Damages(NamedTuple):
     support: Damage | None  # (c, 2)
     hardest: jax.Array  # largest P0 / C0 of any bearing at any instant
     info: SolveInfo
-
-    @property
-    def whole(self) -> jax.Array:
-        """Rate of the system of all bearings. Eq. 24."""
-        rates = [jnp.ravel(one.rate) for one in (self.arm, self.support) if one is not None]
-        return system(jnp.concatenate(rates))
+    whole: jax.Array  # rate of the system of all bearings, Eq. 24
 
 
-def system(rates: jax.Array) -> jax.Array:
-    """Rate of a series system of Weibull slope 9/8, () of rates (n,). Eq. 24.
+def system(parts: Sequence[tuple[jax.Array, float]]) -> jax.Array:
+    """Rate of a series system, (): sum of (rate of a part / rate)^(slope of the part) = 1. Eqs. 24, 30.
+
+    With one slope a closed form. With two, Newton steps in the logarithm x of the rate over the largest one: the slopes
+    of log(sum) in x lie between theirs, so that an error e leaves less than (difference of the slopes)^2 e^2 / 8.
 
     Args:
-        rates: one over the life of each part.
+        parts: rates of parts, (n,), with their slope of Weibull; with equal slopes in one group.
     """
-    largest = jax.lax.stop_gradient(jnp.max(rates))
+    largest = jax.lax.stop_gradient(jnp.max(jnp.concatenate([rates for rates, _ in parts])))
     largest = jnp.where(largest > 0, largest, 1)
-    return largest * power(jnp.sum(power(rates / largest, WEIBULL)), 1 / WEIBULL)
+    sums = [jnp.sum(power(rates / largest, slope)) for rates, slope in parts]
+    if len(parts) == 1:
+        return largest * power(sums[0], 1 / parts[0][1])
+    each, slopes = jnp.stack(sums), jnp.asarray([slope for _, slope in parts], largest.dtype)
+    loaded = jnp.any(each > 0)
+    each, x = jnp.where(loaded, each, 1), jnp.zeros_like(largest)
+    for _ in range(3):
+        share = each * jnp.exp(-slopes * x)
+        x = x + jnp.log(jnp.sum(share)) * jnp.sum(share) / jnp.sum(share * slopes)
+    return jnp.where(loaded, largest * jnp.exp(x), 0)
 
 
 def damages(
@@ -278,7 +285,7 @@ def damages(
     arm = forces.arm.reshape(samples * phases, *forces.arm.shape[2:])
     supports = forces.support.reshape(samples * phases, *forces.support.shape[2:])
 
-    def by_bearing(bearing: RollerBearing, force: jax.Array, clearance: Scalar) -> tuple[Damage, SolveInfo]:
+    def by_bearing(bearing: RollingBearing, force: jax.Array, clearance: Scalar) -> tuple[Damage, SolveInfo]:
         """Damage of bearings (rows, columns) with forces (n, rows, columns, 2)."""
         rated, loose = ratings(bearing), Looseness(jnp.asarray(clearance), tilt, True)
 
@@ -299,11 +306,16 @@ def damages(
             static = magnitude(force)
         else:
             loads: Equivalent = tapered(bearings, force)
-            other = jax.vmap(jax.vmap(lambda size: basic(size, weight, rated), 1), 1)(loads.dynamic)
+            tapering = bearings.support.life_exponent
+            other = jax.vmap(jax.vmap(lambda size: basic(size, weight, rated, tapering), 1), 1)(loads.dynamic)
             static = loads.static
         hardest.append(jnp.max(static) / rated.static)
-    whole = worst_of(jax.tree.map(lambda *x: jnp.stack(x), *infos))
-    return Damages(arm_damage, other, jnp.max(jnp.stack(hardest)), whole)
+    info = worst_of(jax.tree.map(lambda *x: jnp.stack(x), *infos))
+    rates = {bearings.arm.weibull_slope: [jnp.ravel(arm_damage.rate)]}
+    if bearings.support is not None and other is not None:
+        rates.setdefault(bearings.support.weibull_slope, []).append(jnp.ravel(other.rate))
+    whole = system([(jnp.concatenate(parts), slope) for slope, parts in rates.items()])
+    return Damages(arm_damage, other, jnp.max(jnp.stack(hardest)), info, whole)
 
 
 def reliability_factor(reliability: jax.Array) -> jax.Array:

@@ -20,7 +20,7 @@ from rvjax.catalogue import RV_40E, part_class
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors, read_by
-from rvjax.life.damage import METHODS, check_ratings, static_rating
+from rvjax.life.damage import METHODS, check_bearing, static_rating
 from rvjax.life.duty import Duty, kind_of
 from rvjax.life.machine import check_alone, check_places, check_plan
 from rvjax.life.rated import RatedTorque, rated_torque
@@ -192,11 +192,11 @@ def _refusing(
         if design.bearings is None:
             raise ValueError(
                 f"design.bearings is missing: {name} needs [design.bearings.arm], with rollers, roller_diameter, "
-                f"roller_length, pitch_diameter"
+                f"roller_length, pitch_diameter, or balls, ball_diameter, pitch_diameter"
             )
         for place, bearing in (("arm", design.bearings.arm), ("support", design.bearings.support)):
             if bearing is not None:
-                check_ratings(bearing, f"design.bearings.{place}")
+                check_bearing(bearing, f"design.bearings.{place}", given.life_method, "conditions.life_method")
         if not kind_of(design).supports:
             check_alone(design.bearings, type(design).__name__, "design.bearings")
         check_places(design.bearings, design.counts, "design.bearings")
@@ -318,8 +318,7 @@ OTHERS = (
         outputs=_of_eccentrics(),
         cases=None,
         unknown="bearing life (plane model): tilt and edge load (1 mrad costs a quarter of the life), lubricant and "
-        "dirt, wear, speed of cages; the bearings are rated as roller bearings (ball bearings: exponent 3); bearings "
-        "of the shaft and of the output have no life here",
+        "dirt, wear, speed of cages; bearings of the shaft and of the output have no life here",
         usual={},
     ),
 )

@@ -2,8 +2,8 @@
 
 Largest root of an equation that falls in the end, each evaluation being a whole turn of equilibria.
 
-The unknown is the logarithm of a torque, the value a tenth of three times that of life over the life that is wanted:
-where life falls with the exponent 10/3 the value is the step to the root.
+The unknown is the logarithm of a torque. The value is that of life over the life that is wanted, over the exponent of
+the arm bearings (10/3, balls 3): where life falls with this exponent the value is the step to the root.
 """
 
 import functools
@@ -21,7 +21,7 @@ from rvjax.catalogue import checked
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
-from rvjax.life.damage import LIFE, ratings
+from rvjax.life.damage import ratings
 from rvjax.life.duty import KINDS, kind_of
 from rvjax.life.machine import Plan, check_plan, damages, entered
 from rvjax.loaded import Read, admit, bearing_forces
@@ -121,7 +121,9 @@ class RatedTorque(Record):
     """Torque for a given life."""
 
     torque: Any = field("N m", "of the discs on the output, > 0")
-    info: SolveInfo = field("-", "residual: |0.3 ln(life / wanted)|; steps: of all equilibria", kind="record")
+    info: SolveInfo = field(
+        "-", "residual: |ln(life / wanted)| over the exponent of life; steps: of all equilibria", kind="record"
+    )
 
 
 @checked
@@ -205,7 +207,7 @@ def _rated_torque(
 
 
 def _missing(plan: Plan, given: Given, x: jax.Array, start: jax.Array) -> Evaluated:
-    """0.3 ln(life / wanted) at the torque e^x, status, steps and displacements."""
+    """ln(life / wanted) over the exponent of life at the torque e^x, status, steps and displacements."""
     refused = Gate(((given.sound < 0.5, Status.NONFINITE),))
     torque = jnp.exp(x)[None]
     read = Read(given.design, given.errors, given.eccentricity, torque, jnp.zeros_like(x), refused)
@@ -214,7 +216,7 @@ def _missing(plan: Plan, given: Given, x: jax.Array, start: jax.Array) -> Evalua
     damage = damages(plan, given.bearings, given.errors, forces, jnp.ones_like(torque), given.tilt)
     share = damage.whole * given.budget / 1e6  # of the life that the wanted revolutions take
     loaded = share > 0
-    value = jnp.where(loaded, -jnp.log(jnp.where(loaded, share, 1)) / LIFE, 1)
+    value = jnp.where(loaded, -jnp.log(jnp.where(loaded, share, 1)) / given.bearings.arm.life_exponent, 1)
     status = worst(jnp.append(jnp.ravel(forces.info.status), damage.info.status))
     assert forces.displacements is not None
     return value, status, jnp.sum(forces.info.steps), forces.displacements

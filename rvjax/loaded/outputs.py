@@ -319,8 +319,8 @@ OTHERS = (
         cases=None,
         work={**DESCRIPTION.work, _fit: lambda given: ("fit", given.samples)},
         observations=(replace(CURVE, head=None), LOOP),  # the deformation that a head reads is that of an RV reducer
-        unknown="friction, tilting, inertia, twist of the shaft, creep and heat of polymers; rollers are assumed where "
-        "ball bearings carry; forces for clearances above eccentricity/25",
+        unknown="friction, tilting, inertia, twist of the shaft, creep and heat of polymers; bearings have one "
+        "stiffness, where that of balls grows with the load; forces for clearances above eccentricity/25",
         usual={},
     ),
 )  # fmt: skip

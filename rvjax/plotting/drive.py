@@ -109,30 +109,30 @@ def _inside(design: CycloidalReducer) -> float:
 
 
 def _bore(design: CycloidalReducer) -> float:
-    """Radius of the bore of a disc, m: outside the rollers of its bearing, or assumed."""
+    """Radius of the bore of a disc, m: outside its bearing, or assumed."""
     if design.bearings is None:
         return SEAT * _inside(design)
     arm = design.bearings.arm
-    return float(arm.pitch_diameter + arm.roller_diameter) / 2
+    return float(arm.pitch_diameter + arm.element_diameter) / 2
 
 
 def _eccentric(design: CycloidalReducer) -> float:
-    """Radius of an eccentric, m: inside the rollers of its bearing, or assumed."""
+    """Radius of an eccentric, m: inside its bearing, or assumed."""
     if design.bearings is None:
         return 0.75 * _bore(design)
     arm = design.bearings.arm
-    return float(arm.pitch_diameter - arm.roller_diameter) / 2
+    return float(arm.pitch_diameter - arm.element_diameter) / 2
 
 
 def _shaft(design: CycloidalReducer, axes: Axes) -> None:
-    """Rollers and eccentric of each disc, and the shaft."""
+    """Rollers or balls and eccentric of each disc, and the shaft."""
     cycloid, eccentric = design.cycloid, _eccentric(design)
     for disc in range(cycloid.disc_count):
         colour, lines = DISCS[disc % len(DISCS)], "-" if disc == 0 else (0, (4, 2))
         centre = float(cycloid.eccentricity) * unit_vector(2 * np.pi * disc / cycloid.disc_count)
         if disc == 0 and design.bearings is not None:
             arm = design.bearings.arm
-            _circles(axes, arm.pitch_diameter / 2, arm.roller_diameter / 2, arm.rollers, "0.93", centre)
+            _circles(axes, arm.pitch_diameter / 2, arm.element_diameter / 2, arm.elements, "0.93", centre)
         journal = Circle(tuple(centre / mm), eccentric / mm, fill=False, ec=colour, lw=1.0, ls=lines, zorder=3)
         axes.add_patch(journal)
         axes.plot(*centre / mm, "o", color=colour, ms=4, zorder=5)

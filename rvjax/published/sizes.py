@@ -202,7 +202,7 @@ def _rating_that_fits(design: RVReducer, length: float) -> float:
 
 def _fits_the_disc(design: RVReducer, torque: float) -> bool:
     """True if the rating for 6000 h of all arm bearings fits a caged row between crank and flank."""
-    assert design.bearings is not None
+    assert design.bearings is not None and isinstance(design.bearings.arm, RollerBearing)
     return _rating_needed(design, torque) <= _rating_that_fits(design, design.bearings.arm.roller_length)
 
 

@@ -3,6 +3,7 @@
 A kind says what slides where, besides ring pins and arm bearings, which all kinds have.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -253,8 +254,10 @@ def _read_of(bearings: Bearings | None, friction: Friction) -> Bearings | None:
         return None
 
     def sizes(bearing: PyTree, coefficient: Scalar | None) -> object:
-        unread = ("roller_diameter", "roller_length", "rating_factor", "capacity", "static_capacity")
-        return None if bearing is None or coefficient is None else unchecked(bearing, **dict.fromkeys(unread))
+        if bearing is None or coefficient is None:
+            return None
+        numbers = {f.name for f in dataclasses.fields(bearing) if f.metadata["kind"] == "real"}
+        return unchecked(bearing, **dict.fromkeys(numbers - {"pitch_diameter", "contact_angle"}))
 
     support = sizes(bearings.support, friction.support_bearings)
     kept = unchecked(bearings, arm=sizes(bearings.arm, friction.arm_bearings), support=support)

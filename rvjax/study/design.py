@@ -76,7 +76,8 @@ def _flat(cls: type, table: object, where: str) -> Iterator[tuple[str, PyTree]]:
         cls, table if not parts else {k: v for k, v in numbers.items() if k not in parts}, where, None
     ).items()
     for key in sorted(parts):
-        inner = _flat(part_class(cls, key), numbers[key], f"{where}.{key}")
+        name, inside = f"{where}.{key}", numbers[key]
+        inner = _flat(part_class(cls, key, inside if isinstance(inside, dict) else (), None, name), inside, name)
         yield from ((f"{key}.{path}", value) for path, value in inner)
 
 
@@ -85,7 +86,7 @@ def _changed(record: Record, changes: object, where: str) -> PyTree:
     return record.replace(**_values(type(record), changes, where, record))
 
 
-def _made(cls: type, numbers: object, where: str) -> PyTree:
+def _made(cls: type, numbers: object, where: str, instead_of: Record | None = None) -> PyTree:
     values = _values(cls, numbers, where, None)
     needed = [f for f in dataclasses.fields(cls) if f.default is dataclasses.MISSING]
     missing = [(f.name, f.metadata["unit"]) for f in needed if f.name not in values]
@@ -93,7 +94,8 @@ def _made(cls: type, numbers: object, where: str) -> PyTree:
         return InvoluteStage.from_teeth(**values)  # standard gears: the rest follows
     if missing:
         listed = ", ".join(name if unit == "-" else f"{name} in {unit}" for name, unit in missing)
-        raise ValueError(f"{where}: {listed} missing")
+        whose = f"; a {cls.__name__} takes no number from the {type(instead_of).__name__} of the base"
+        raise ValueError(f"{where}: {listed} missing{whose if instead_of else ''}")
     make: Callable[..., PyTree] = cls
     with naming_field(where):
         return make(**values)
@@ -109,7 +111,8 @@ def _values(cls: type, table: object, where: str, base: Record | None) -> dict[s
     for key, value in table.items():
         about, name, own = fields[key], f"{where}.{key}", getattr(base, key, None)
         if about["kind"] == "record":
-            values[key] = _made(part_class(cls, key), value, name) if own is None else _changed(own, value, name)
+            part = part_class(cls, key, value if isinstance(value, dict) else (), own, name)
+            values[key] = _changed(own, value, name) if isinstance(own, part) else _made(part, value, name, own)
         else:
             values[key] = field_value(value, about, name)
     return values

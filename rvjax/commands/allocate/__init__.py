@@ -52,7 +52,6 @@ from rvjax.units import with_unit
 
 LIVES = ("life", "arm_bearing_life")
 CONFIDENCE = 0.95  # of certificates
-EXPONENT = 10 / 3  # of a bearing life in the rating C, ISO 281
 
 
 def shortfall_text(shortfall: float, output: Output) -> str:
@@ -101,8 +100,9 @@ def _text(study: Study, name: str, missing: float) -> str:
     moved = limit_text(dataclasses.replace(limits, lower=limits.lower - missing, upper=limits.upper + missing), output)
     text += f": {moved} can be met"
     if name in LIVES and 0 < missing < limits.lower and any(path.startswith("bearings.") for path in study.assumed):
-        times = (limits.lower / (limits.lower - missing)) ** (1 / EXPONENT)
-        rating = float(dynamic_rating(study.design.bearings.arm)) / 1e3
+        arm = study.design.bearings.arm
+        times = (limits.lower / (limits.lower - missing)) ** (1 / arm.life_exponent)
+        rating = float(dynamic_rating(arm)) / 1e3
         return (
             f"{text}; the assumed crank bearings prevent it: {times:.3g} times their rating C would do (bearings.arm: "
             f"{times * rating:.3g} kN instead of {rating:.3g} kN)"

@@ -157,7 +157,7 @@ def lives_if_any(study: Study, tolerances: object, *, units: int = UNITS) -> Liv
         below = np.nanquantile(changed, LOW) - np.quantile(rated.life[fine], LOW)
         return float(np.nanmean(changed) - np.mean(rated.life[fine])), float(below)
 
-    first = jax.vmap(life.first_failures)(rated)
+    first = jax.vmap(lambda unit: life.first_failures(unit, study.design.bearings))(rated)
     speed, phases = float(np.max(np.abs(duty.output_speed))), len(duty.time)
     curve = []
     for factor in TORQUES:

@@ -140,9 +140,9 @@ def doubts(design: CycloidalReducer) -> list[str]:
         )
     if design.bearings is not None:
         arm, inside = design.bearings.arm, output.circle_radius - _hole(design)
-        if (reach := (arm.pitch_diameter + arm.roller_diameter) / 2) >= inside:
+        if (reach := (arm.pitch_diameter + arm.element_diameter) / 2) >= inside:
             found.append(
-                f"design.bearings.arm.pitch_diameter = {shown(arm.pitch_diameter, 'm')}: the rollers reach "
+                f"design.bearings.arm.pitch_diameter = {shown(arm.pitch_diameter, 'm')}: the {arm.element}s reach "
                 f"{shown(reach, 'm')} from the centre of the disc, its holes begin at {shown(inside, 'm')}"
             )
     if design.contact is not None and output.pin_radius > CONFORMAL * cycloid.eccentricity:

@@ -16,7 +16,7 @@ import numpy as np
 
 from rvjax._jax.programs import ONCE, quick
 from rvjax.catalogue import BASES, sharp_from, shown
-from rvjax.designs import InvoluteStage, RollerBearing, RVReducer
+from rvjax.designs import BallBearing, InvoluteStage, RollerBearing, RVReducer
 from rvjax.geometry import contact_ratio
 from rvjax.life import dynamic_rating, static_rating
 from rvjax.records import PyTree, Scalar
@@ -145,6 +145,7 @@ LAWS = tuple(
         entry["source"],
         entry.get("whole", False),
         entry.get("exact", False),
+        entry.get("unless", ""),
     )
     for entry in _FILE["law"]
 )
@@ -192,7 +193,7 @@ KNOWN_REDUCERS: dict[str, RVReducer] = {name: BASES[name] for name in RATED}
 """Known reducers."""
 TORQUE = min(RATED.values()), max(RATED.values())
 OF_SIZE = 0.9e6, 2.75e6  # rated torque over the cube of the pin circle, N/m2: 1.2e6 to 2.1e6 in RATED, widened by 1.3
-FAR_RATING = 5.0  # between a given rating and that of the same rollers; assumed
+FAR_RATING = 5.0  # between a given rating and that of its size; assumed
 SPEED = 75 * rpm  # of the output, at most: an RV-20E, as its maker prints it
 
 
@@ -255,17 +256,17 @@ def doubts(design: RVReducer) -> list[str]:
 
 
 def _bearings(design: RVReducer) -> list[str]:
-    """Given ratings of the crank bearings that are far from what their rollers can carry."""
+    """Given ratings of the crank bearings that are far from what their rollers or balls can carry."""
     found = []
     for place in ("arm", "support"):
-        bearing: RollerBearing | None = getattr(design.bearings, place, None)
+        bearing: RollerBearing | BallBearing | None = getattr(design.bearings, place, None)
         for name, rating in (("capacity", dynamic_rating), ("static_capacity", static_rating)):
             if bearing is not None and (given := getattr(bearing, name)) is not None:
                 own = float(rating(bearing.replace(**{name: None})))
                 if not own / FAR_RATING <= float(given) <= own * FAR_RATING:
                     found.append(
-                        f"design.bearings.{place}.{name} = {shown(given, 'N')}: its rollers have a rating of "
-                        f"{shown(own, 'N')}; check the unit"
+                        f"design.bearings.{place}.{name} = {shown(given, 'N')}: its {bearing.element}s have a "
+                        f"rating of {shown(own, 'N')}; check the unit"
                     )
     return found
 

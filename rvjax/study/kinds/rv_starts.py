@@ -11,11 +11,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from rvjax.catalogue import ASSUMED, RV_40E_WHOLE, fields_of_kind, shown
-from rvjax.designs import InvoluteStage, RollerBearing, RVReducer
+from rvjax.bearings import RollingBearing
+from rvjax.catalogue import ASSUMED, RV_40E_WHOLE, fields_of_kind, part_class, shown
+from rvjax.designs import Bearings, InvoluteStage, RVReducer
 from rvjax.life import static_rating
 from rvjax.population import it_width
-from rvjax.records import Scalar
+from rvjax.records import PyTree, Scalar
 from rvjax.study.kinds.kind import Assumed, Known, Numbers, Start
 from rvjax.study.kinds.rv_facts import AXIAL, FOLLOWING, KNOWN_REDUCERS, LAWS, NAMES, RATED, SIZES
 from rvjax.study.kinds.scaling import Law, number_at, outside
@@ -62,7 +63,7 @@ def completed(given: Numbers) -> dict[str, Assumed]:
     found = _geometry(given)
     numbers = {**given, **{path: item.value for path, item in found.items()}}
     follows = {path: numbers[path] for path in NAMES if path in numbers}
-    for path, _, default in fields_of_kind(RVReducer):
+    for path, _, default in fields_of_kind(RVReducer, given=given):
         if path.split(".")[0] not in PARTS or path in numbers or path in PLACES:
             continue
         if default is not dataclasses.MISSING and _law_of(path) is None:
@@ -216,7 +217,7 @@ def tolerance_ratios(numbers: Numbers) -> dict[str, tuple[float, str]]:
     return found
 
 
-def arm_force(bearing: RollerBearing) -> float:
+def arm_force(bearing: RollingBearing) -> float:
     """Largest force of a turning-arm bearing at rated torque for static safety at start and stop, N.
 
     Args:
@@ -270,7 +271,7 @@ def _tables(text: str, numbers: Numbers, given: Known) -> str:
     assert given.torque is not None
     torque = given.torque
     arm = {path.removeprefix(IN_DISC): x for path, x in numbers.items() if path.startswith(IN_DISC)}
-    bearing = RollerBearing(**arm)
+    bearing: PyTree = part_class(Bearings, "arm", arm)(**arm)
     sizes, limit = tolerance_ratios(numbers), arm_force(bearing)
     ratios = {e: (ratio, f"assumed: {ratio:g} times that of the RV-40E ({size})") for e, (ratio, size) in sizes.items()}
     scale = numbers[ARM] / number_at(RV_40E_WHOLE, ARM)

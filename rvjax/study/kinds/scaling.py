@@ -35,6 +35,7 @@ class Law:
         source: of the scaling law.
         whole: for a reducer of another size only, not where single numbers change.
         exact: kinematics, also used without scaling laws: gears that do not obey it do not mesh.
+        unless: path of a number; a design that has it does not obey the scaling law. "": every one does.
     """
 
     name: str
@@ -44,6 +45,11 @@ class Law:
     source: str
     whole: bool = False
     exact: bool = False
+    unless: str = ""
+
+    def holds(self, design: object) -> bool:
+        """True for a design that obeys the scaling law."""
+        return not self.unless or number_at(design, self.unless) is None
 
 
 @dataclass(frozen=True)
@@ -75,7 +81,7 @@ class Following:
         """The design with other numbers, and with all that follows, see `rvjax.study.scaled`."""
         stands, new = {*values, *given}, dict[str, PyTree](values)
         for law in self.laws:
-            used = (similar or law.exact) and (whole or not law.whole)
+            used = (similar or law.exact) and (whole or not law.whole) and law.holds(design)
             ratios = {p: new[p] / number_at(design, p) for p in law.follows if used and new.get(p) is not None}
             for path in law.numbers if ratios else ():
                 own = number_at(design, path)
@@ -95,7 +101,7 @@ class Following:
         """
         moving, found = set(paths), []
         for law in self.laws:
-            if law.whole or not moving & set(law.follows):
+            if law.whole or not moving & set(law.follows) or not law.holds(design):
                 continue
             numbers = [path for path in law.numbers if path not in {*paths, *given} and _there(design, path)]
             moving |= set(numbers)
