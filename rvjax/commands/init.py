@@ -232,7 +232,7 @@ def _drawn(path: Path) -> Known:
         if missing := _lacking(kind, numbers):
             raise ValueError(f"[design] lacks {'; '.join(missing)}")
         said = dict.fromkeys(catalogue.assumed(str(base)), "assumed") if base else {}
-        about = {path: each for path, each, _ in fields_of_kind(kind.design)}
+        about = {path: each for path, each, _ in fields_of_kind(kind.design, given=numbers)}
         notes = {path: note for path, note in comments(text).items() if path in numbers}
         said |= {path: "" if is_replaced(numbers[path], about[path], note) else note for path, note in notes.items()}
         torque, unread = _torque(subtable(tables, "conditions")), tuple(sorted(set(tables) - FILE_PARTS))
