@@ -11,6 +11,7 @@ from rvjax.catalogue import sharp_from, shown
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.mounting import unit_errors
 from rvjax.records import Scalar
+from rvjax.study.kinds.features import features
 from rvjax.study.kinds.kind import Assumed, Drawing, Kind, Numbers, Start
 from rvjax.study.values import in_unit
 
@@ -237,4 +238,5 @@ KIND = Kind(
     unit_errors=unit_errors,
     drawing=Drawing(_drawn, _caption, _compared, "Section of the drive, drawn to scale, before and after"),
     starts={"loaded": Start("cycloidal-17", PARTS, HEAD, tables=_with_torque)},
+    features=features("ring", "cycloidal"),
 )

@@ -1,11 +1,9 @@
 """Description of a kind of reducer for studies and commands: everything that its record does not hold.
 
-With it its scaling laws, and other numbers that follow a number that changes. The ratio of a number to its value in the
-study gives the ratio of the numbers that follow. A number that the study gives does not follow. Without scaling laws an
-optimum would buy stiffness that no bearing of its size has.
+With it its scaling laws, and numbers that follow the ratio of a number to its value in the study. A number that the
+study gives does not follow. Without scaling laws an optimum would buy stiffness that no bearing of its size has.
 """
 
-import dataclasses
 import math
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -16,6 +14,7 @@ import jax.numpy as jnp
 
 from rvjax.catalogue import BASES
 from rvjax.records import Design, PyTree, Record, Scalar
+from rvjax.study.kinds.features import Feature
 from rvjax.study.values import Toml
 
 Follow = Callable[[PyTree, Mapping[str, Scalar], Mapping[str, PyTree], Collection[str]], Mapping[str, PyTree]]
@@ -63,8 +62,8 @@ class Following:
 
     laws: tuple[Law, ...] = ()
     others: Follow = _none
-    bound: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
-    instead: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    bound: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    instead: Mapping[str, str] = field(default_factory=dict)
 
     def changed(
         self,
@@ -285,8 +284,7 @@ class Kind:
         facts: design -> (name, value) of what follows from its numbers.
         derivation: (design, path, value) -> how this value follows from other numbers; "" where it does not.
         derived_from: paths of the numbers that derivations read or give.
-        followed: (design, table [design] of its study) -> the design, with what follows from the numbers given there;
-            raises ValueError where they contradict each other.
+        followed: (design, table [design] of its study) -> the design with what follows; ValueError: a contradiction.
         implied: numbers -> paths that a study need not give, because their values follow from the others.
         following: what follows a number that changes.
         refuse: design -> None; raises ValueError, one line, for parts that do not fit together.
@@ -304,6 +302,7 @@ class Kind:
         needed: paths of the numbers that a file must give where `rvjax init` begins with it; empty: with known
             reducers only.
         torque: numbers -> rated torque, N m, where such a file gives none.
+        features: of the parts, by the error that belongs to each.
     """
 
     design: type
@@ -328,6 +327,7 @@ class Kind:
     starts: Mapping[str, Start] = field(default_factory=dict)
     needed: tuple[str, ...] = ()
     torque: Callable[[Numbers], Assumed | None] = _nothing
+    features: Mapping[str, Feature] = field(default_factory=dict)
 
     @property
     def word(self) -> str:
