@@ -7,6 +7,7 @@ from the table of features. Decimal numbers keep a limit of a micrometre exact n
 import csv
 import dataclasses
 import io
+import itertools
 import math
 from decimal import Decimal
 
@@ -61,7 +62,7 @@ def read(text, drawing):
 
 
 def moved(tolerances, shift):
-    """Tolerances with moved mid-points, those of vectors and of the pitch, which drawings state otherwise, as they are."""
+    """Tolerances with moved mid-points; vectors and the pitch, which drawings state otherwise, keep theirs."""
     changes = {}
     for f in dataclasses.fields(tolerances):
         one = getattr(tolerances, f.name)
@@ -129,7 +130,7 @@ def test_rows_of_an_rv_40e_by_hand():
 
 
 def test_zones_of_a_drawing():
-    """A vector of up to 7.5 um is a runout of 15 um, one of up to 20 um a position of 40 um; +-9.5 um of teeth are 19 um."""
+    """Vectors of up to 7.5 um: a runout of 15 um; of up to 20 um: a position of 40 um; teeth at +-9.5 um: 19 um."""
     found = {row.error: row for row in sizes_of(RV, STUDIES["rv-40e-whole"].tolerances)}
     check(found["disc_centre"], None, 15, None, geometric="circular runout (ISO 1101)", datum="bores of the cranks")
     check(found["pin_offset"], 128, 10, None, geometric="position, diametral (ISO 1101)", count=40)
@@ -142,7 +143,7 @@ def test_zones_of_a_drawing():
 
 
 def test_a_coarse_process_has_a_coarse_step():
-    """+-26 um of a radius 4.1527 mm off: 8.3054 mm becomes 8.31, with 25 um 8.305; one finer error of a size decides."""
+    """Half-widths of 26 um: 8.3054 mm becomes 8.31; of 25 um: 8.305. One finer error of a size decides."""
     check(rows(DRIVE, hole_radius=(-23.3, 28.7))["hole_radius"], 8.31, 47.4, -56.6)
     check(rows(DRIVE, hole_radius=(-22.3, 27.7))["hole_radius"], 8.305, 50.4, -49.6)
     both = rows(RV, pin_radius=(-27, 31), pin_radii=(-1, 1))
@@ -161,7 +162,7 @@ def test_what_no_design_has_is_empty():
 
 def test_rows_of_a_part_are_together():
     parts = [row.part for row in sizes_of(RV, STUDIES["rv-40e-whole"].tolerances)]
-    assert len(parts) == 20 and sum(a != b for a, b in zip(parts, parts[1:])) == len(set(parts)) - 1
+    assert len(parts) == 20 and sum(a != b for a, b in itertools.pairwise(parts)) == len(set(parts)) - 1
 
 
 @pytest.mark.parametrize("kind", KINDS.values(), ids=lambda kind: kind.word)

@@ -31,5 +31,5 @@ def report(inputs: ExportInputs, found: list[Size]) -> Report:
         data={"study": study.name, "tolerances": origin, "sizes": found},
         exports={inputs.file: table.csv()},
         told={"file": str(inputs.file)},
-        closing=(f"{inputs.file}: {len(found)} rows",),
+        closing=(f"{inputs.file}: sizes",),
     )
