@@ -199,3 +199,9 @@ def test_every_error_of_every_kind_has_a_row(kind):
 def test_the_coarsest_grade_inside_a_width(width, size, grade):
     """ISO 286-1, Table 1: 18 to 30 mm IT5 9, IT6 13, IT7 21 um; up to 3 mm IT01 0.3 um, IT11 60 um."""
     assert coarsest_grade(width * um, size * mm) == grade
+
+
+def test_without_a_table_limits_are_those_of_the_error(monkeypatch):
+    monkeypatch.setattr("rvjax.study.kinds.KINDS", {})
+    (row,) = rows(DRIVE, hole_radius=(-4, 6)).values()
+    check(row, None, 6, -4, part="discs", feature="radius of each hole; > 0 is clearance", count=1, grade="", datum="")

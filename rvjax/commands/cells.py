@@ -29,7 +29,7 @@ from rvjax.render import (
 )
 from rvjax.study import COARSE, Size, Study
 from rvjax.tolerances import Allocation, Estimate, Limits, Statistics, Tolerance, Verdict, slopes_change_sign
-from rvjax.units import arcmin, mm, rpm, suited, um, with_unit
+from rvjax.units import mm, readable, rpm, suited, um, with_unit
 
 
 def limits_of(study: Study, field: str, tolerance: Tolerance) -> Zone:
@@ -207,10 +207,6 @@ def assumed_text(study: Study) -> str:
     return ", ".join(dict.fromkeys(parts))
 
 
-SMALL_UNIT = {"m": ("um", um), "rad": ("arcmin", arcmin), "-": ("%", 0.01)}
-"""Of limits on a drawing, by SI unit; only lengths have no unit in the row."""
-
-
 @dataclass(frozen=True)
 class SizeRow:
     """A size for the drawing, see `rvjax.study.Size`."""
@@ -228,14 +224,14 @@ class SizeRow:
 
 
 def sizes_table(rows: Sequence[Size]) -> Table:
-    """Sizes for the drawing; in a file all digits of the limits.
+    """Sizes for the drawing; in a file all digits of the limits. Limits that are no lengths have their unit in the row.
 
     Args:
         rows: as `rvjax.study.sizes_of` gives them.
     """
     found = []
     for row in rows:
-        name, unit = SMALL_UNIT[row.unit]
+        name, unit = ("%", 0.01) if row.unit == "-" else readable(row.unit)
         feature = row.feature if row.unit == "m" else f"{row.feature} [{name}]"
         lower = None if row.lower is None else row.lower / unit
         ends = number(row.nominal, mm), row.upper / unit, lower

@@ -67,9 +67,8 @@ def sizes_of(design: Design, tolerances: Record) -> list[Size]:
         design: the reducer, with the numbers that deviations refer to.
         tolerances: record with a Tolerance or None in each field.
     """
-    known = kind_of(design).features
     given = {f.name: one for f in dataclasses.fields(tolerances) if (one := getattr(tolerances, f.name)) is not None}
-    features = {name: known.get(name, Feature("", name)) for name in given}
+    features = {name: _feature(design, name) for name in given}
     sized: dict[object, list[str]] = {}
     for name, feature in features.items():
         if feature.nominal and not feature.form:
@@ -81,6 +80,12 @@ def sizes_of(design: Design, tolerances: Record) -> list[Size]:
         rows.append(_row(design, name, feature, given[name], nominal, rest if names[:1] == [name] else 0.0))
     parts = list(dict.fromkeys(row.part for row in rows))
     return sorted(rows, key=lambda row: parts.index(row.part))
+
+
+def _feature(design: Design, error: str) -> Feature:
+    """Feature that an error belongs to; without a table for its kind, part and meaning of the error."""
+    about = metadata(design.error_record, error)
+    return kind_of(design).features.get(error, Feature(about["part"], about["meaning"]))
 
 
 def _target(
