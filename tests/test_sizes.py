@@ -85,6 +85,14 @@ def test_a_file_of_sizes_gives_the_tolerances_back(name, shift):
         assert ends == pytest.approx(wanted, rel=1e-12, abs=1e-12 * max(map(abs, wanted))), error
 
 
+def test_a_fine_limit_next_to_a_large_size_keeps_its_digits():
+    """128.2007 mm are rounded to 128.201. As floats twice 64.1 mm are wrong by 2e-11 um, differences by 1e-11 um."""
+    design = RV.replace(cycloid=RV.cycloid.replace(pin_circle_radius=64.1 * mm))
+    found = sizes_of(design, for_design(design, pin_circle_radius=Tolerance(0.3 * um, 0.4 * um)))
+    (ends,) = read(sizes_table(found).csv().decode(), {"pin_circle_radius": ("128.2", 2)}).values()
+    assert ends == pytest.approx((0.3 * um, 0.4 * um), rel=1e-12, abs=0)
+
+
 def rows(design, **limits):
     """Rows by error; limits in um."""
     given = {name: Tolerance(a * um, b * um) for name, (a, b) in limits.items()}
@@ -138,13 +146,15 @@ def test_zones_of_a_drawing():
     assert found["crank_phase"].upper / arcmin == pytest.approx(5) and found["crank_phase"].unit == "rad"
     drive = {row.error: row for row in sizes_of(DRIVE, STUDIES["cycloidal-17"].tolerances)}
     check(drive["hole_position"], 64.6, 40, None, part="disc, 2 x", count=6, datum="bore of the disc")
+    bore = rows(RV, disc_bore=(0, 6))["disc_bore"]  # of each component, not of the length
+    check(bore, 72, 6, 0, geometric="position, radial and tangential")
     teeth = rows(RV, disc_pitch=(-1, 3))["disc_pitch"]  # no number of a drawing: limits
     check(teeth, None, 3, -1, geometric="total cumulative pitch deviation Fp (ISO 1328)")
 
 
 def test_a_coarse_process_has_a_coarse_step():
-    """Half-widths of 26 um: 8.3054 mm becomes 8.31; of 25 um: 8.305. One finer error of a size decides."""
-    check(rows(DRIVE, hole_radius=(-23.3, 28.7))["hole_radius"], 8.31, 47.4, -56.6)
+    """Half-widths of 25.5 um: 8.3054 mm becomes 8.31; of 25 um: 8.305. One finer error of a size decides."""
+    check(rows(DRIVE, hole_radius=(-22.8, 28.2))["hole_radius"], 8.31, 46.4, -55.6)
     check(rows(DRIVE, hole_radius=(-22.3, 27.7))["hole_radius"], 8.305, 50.4, -49.6)
     both = rows(RV, pin_radius=(-27, 31), pin_radii=(-1, 1))
     check(both["pin_radius"], 6.004, 58, -58)
@@ -192,7 +202,8 @@ def test_every_error_of_every_kind_has_a_row(kind):
 @pytest.mark.parametrize(
     ("width", "size", "grade"),
     [
-        (13.0, 25.0, "IT6"), (12.99, 25.0, "IT5"), (20.9, 30.0, "IT6"), (21.0, 30.0, "IT7"), (0.29, 2.0, ""),
+        (13.0, 25.0, "IT6"), (13.0 * (1 - 1e-12), 25.0, "IT6"), (12.99, 25.0, "IT5"),
+        (20.9, 30.0, "IT6"), (21.0, 30.0, "IT7"), (0.29, 2.0, ""),
         (500.0, 2.0, "IT11"), (20.0, 0.0, ""), (20.0, -1.0, ""), (20.0, 501.0, ""), (20.0, math.nan, ""),
     ],
 )  # fmt: skip

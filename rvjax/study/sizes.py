@@ -1,7 +1,7 @@
 """Sizes for the drawing: nominal, limits, grade and geometric tolerance of the features of the parts, from tolerances.
 
-A size is its nominal plus one deviation from each row of the same part and nominal. The nominal is the target: number
-of the design plus mid-points of its errors, rounded to a step of the process. Limits of the first row have the rest.
+A size is its nominal plus one deviation from each row with the same numbers of the design. The nominal is the target:
+number of the design plus mid-points of its errors, rounded to a step of the process. The first row has the rest.
 """
 
 import dataclasses
@@ -69,7 +69,7 @@ def sizes_of(design: Design, tolerances: Record) -> list[Size]:
     """
     given = {f.name: one for f in dataclasses.fields(tolerances) if (one := getattr(tolerances, f.name)) is not None}
     features = {name: _feature(design, name) for name in given}
-    sized: dict[object, list[str]] = {}
+    sized: dict[frozenset[str], list[str]] = {}
     for name, feature in features.items():
         if feature.nominal and not feature.form:
             sized.setdefault(feature.size, []).append(name)
@@ -91,7 +91,7 @@ def _feature(design: Design, error: str) -> Feature:
 def _target(
     design: Design, feature: Feature, deviations: Sequence[tuple[float, Tolerance]]
 ) -> tuple[float | None, float]:
-    """Nominal of a size in m, and how much it exceeds the number of the design; exact numbers are not rounded."""
+    """Nominal of a size in m, and how much it exceeds the number of the design; not rounded without deviations."""
     numbers = [(factor, number_at(design, path)) for path, factor in feature.nominal.items()]
     if not numbers or any(number is None for _, number in numbers):
         return None, 0.0

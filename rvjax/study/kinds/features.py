@@ -33,9 +33,9 @@ class Feature:
     datum: str = ""
 
     @property
-    def size(self) -> tuple[str, frozenset[str]]:
-        """The same for all errors of one size: part and numbers of the design."""
-        return self.part, frozenset(self.nominal)
+    def size(self) -> frozenset[str]:
+        """Numbers of the design, the same for all errors of one size."""
+        return frozenset(self.nominal)
 
 
 def features(*tables: str) -> dict[str, Feature]:
