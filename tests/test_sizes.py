@@ -87,7 +87,7 @@ def test_a_file_of_sizes_gives_the_tolerances_back(name, shift):
 
 def test_a_fine_limit_next_to_a_large_size_keeps_its_digits():
     """128.2007 mm are rounded to 128.201. As floats twice 64.1 mm are wrong by 2e-11 um, differences by 1e-11 um."""
-    design = RV.replace(cycloid=RV.cycloid.replace(pin_circle_radius=64.1 * mm))
+    design = RV.replace(cycloid=RV.cycloid.replace(pin_circle_radius=0.0641))
     found = sizes_of(design, for_design(design, pin_circle_radius=Tolerance(0.3 * um, 0.4 * um)))
     (ends,) = read(sizes_table(found).csv().decode(), {"pin_circle_radius": ("128.2", 2)}).values()
     assert ends == pytest.approx((0.3 * um, 0.4 * um), rel=1e-12, abs=0)

@@ -39,7 +39,7 @@ from rvjax.study.problem import (
 )
 from rvjax.study.reader import EMBEDDED, embedded_names, load, parse_study, template as study_template
 from rvjax.study.response import CURVE as CURVE, Response as Response, refuse as refuse
-from rvjax.study.sizes import COARSE as COARSE, Size as Size, sizes_of
+from rvjax.study.sizes import COARSE as COARSE, Size, sizes_of
 from rvjax.study.study import Study, StudyError
 from rvjax.study.tolerances import mid_points as mid_points, scalars as scalars, stated_by as stated_by
 from rvjax.study.values import (
@@ -58,4 +58,4 @@ __all__ = ["BASES", "Conditions", "EMBEDDED", "KNOWN_DESIGNS", "Loop", "Measured
 __all__ += ["Run", "Study", "StudyError", "TORQUE", "Candidate", "choice", "embedded_names", "field_unit"]
 __all__ += ["identification_of", "integer", "inverse_problem", "facts_of", "known", "load", "naming", "numbers"]
 __all__ += ["order_name", "parse_study", "quantity", "scaled", "read_measured", "shown", "study_template", "subtable"]
-__all__ += ["candidates", "sizes_of"]
+__all__ += ["Size", "candidates", "sizes_of"]
