@@ -81,6 +81,11 @@ def test_allocate_writes_tables_and_pictures(answered):
     assert total == pytest.approx(result["cost"]["after"]) and row["grade"] == ""
     graded = sum(float(row["cost graded"] or 0) for row in (*rows.values(), moved))
     assert graded == pytest.approx(result["graded"]["cost"])
+    sizes = table("sizes", "error")
+    assert {error for (error,) in sizes} == {row["error"] for row in result["sizes"]} == set(result["tolerances"])
+    clearance = result["tolerances"]["bearing_clearance"]["after"]
+    assert float(sizes["bearing_clearance",]["upper [um]"]) == pytest.approx(2e6 * clearance["upper"])  # diametral
+    assert float(sizes["equidistant_modification",]["nominal [mm]"]) == round(-0.02 + 1e3 * middle, 3)  # from -20 um
     influence = table("influence", "error", "response")
     assert influence["disc_runout", "transmission_error"]["slope"] == ""  # no slope, which is not zero
     assert float(influence["disc_runout", "lost_motion"]["slope"]) > 0

@@ -53,6 +53,7 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "ragged.toml").write_text(UNIT.format(places='[["1 um"], ["1 um", "2 um"]]'))
     (tmp_path / "there.json").write_text("mine")
     (tmp_path / "there.svg").write_text("mine")
+    (tmp_path / "there.csv").write_text("mine")
     ringed = 'cycloidal-17"\nmember = "ring'  # no number differs
     for name, design in (("mine", "cycloidal-17"), ("other", "cycloidal-15"), ("ringed", ringed)):
         (tmp_path / name).mkdir()
@@ -93,6 +94,13 @@ def folder(tmp_path, monkeypatch):
         (["drive.toml", "a.svg", "--result", "ringed"], "ringed: is the result of another design than drive"),
         (["drive.toml", "a.svg", "--unit", "median"], "--unit: a.svg is an outline, which has no such option"),
         (["drive.toml", "a.json", "--part", "ring"], "--part: a.json is a joint model, which has no such option"),
+        (["drive.toml", "a.txt", "--as", "sizes"], "a.txt: must end with .csv; --as sizes writes a table"),
+        (["drive.toml", "there.csv", "--as", "sizes"], "there.csv: exists already; name a new file"),
+        (["alone.toml", "a.csv", "--as", "sizes"], "[tolerances] is missing or empty"),
+        (["drive.toml", "a.csv", "--as", "sizes", "--part", "ring"], "--part: a.csv is a table of sizes, which has no"),
+        (["drive.toml", "a.csv", "--as", "sizes", "--damping", "1 N m s/rad"], "--damping: a.csv is a table of sizes"),
+        (["drive.toml", "a.csv", "--as", "sizes", "--result", "no"], "no: there is no results folder"),
+        (["drive.toml", "a.csv", "--as", "sizes", "--result", "other"], "other: is the result of another design"),
         (["other.toml", "a.svg"], "geometry.outline: takes a design of kind"),
     ],
 )
@@ -119,6 +127,24 @@ def test_a_nominal_unit_without_clearance_is_warned_of(folder, monkeypatch, caps
     )
     assert cli.main(["export", "tight.toml", "t.json", "--quiet"]) == 0
     assert ("warning: the nominal unit has no clearance" in capsys.readouterr().out) == warned
+
+
+def test_sizes_of_a_study_and_of_its_result(folder, capsys):
+    """Throw of 1.6 mm: +-10 um in the study, -1 to 5 um in the result, whose mid-point is +2 um."""
+    assert cli.main(["export", "drive.toml", "a.csv", "--as", "sizes"]) == 0
+    said = capsys.readouterr().out
+    assert "Tolerances of drive." in said and "Sizes for the drawing:" in said and "a.csv: sizes" in said
+    header = "part,feature,count,nominal [mm],upper [um],lower [um],grade,geometric,datum,error"
+    written = (folder / "a.csv").read_text().splitlines()
+    assert written[0] == header
+    assert written[1] == 'shaft,"eccentric, eccentricity, each",2,1.6,10.0,-10.0,,,,throw'
+    arguments = ["drive.toml", "b.csv", "--as", "sizes", "--result", "mine", "--format", "json"]
+    assert cli.main(["export", *arguments]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["file"], told["tolerances"]) == ("b.csv", "mine, OPTIMAL")
+    (row,) = told["sizes"]
+    assert [row["nominal"], row["upper"], row["lower"]] == pytest.approx([1.602e-3, 3e-6, -3e-6], rel=1e-9)
+    assert ",1.602,3" in (folder / "b.csv").read_text() and row["grade"] == ""  # no feature of size
 
 
 def test_conditions_of_a_joint_model_count_as_read():

@@ -95,6 +95,8 @@ def test_the_page_holds_the_answer_and_needs_nothing_else(written, answered):
         "no level with these conditions was measured",
         "first order, float64",
         "rvjax report ",
+        "Sizes for the drawing",
+        "nominal [mm]",
         "certificate_samples = 20_000",
         "No maker publishes these values",
     ]

@@ -183,8 +183,14 @@ def test_the_command_answers(designed):
     code, out, result = designed
     assert code == 0 and result["status"] == "OPTIMAL" and result["certificate"]["samples"] == 8192
     for name in ("report.html", "summary.txt", "variables.csv", "tolerances.csv", "requirements.csv", "nominal.csv",
-                 "optima.csv", "scaling.csv", "section.png", "front.png", "study.toml"):  # fmt: skip
+                 "optima.csv", "scaling.csv", "sizes.csv", "section.png", "front.png", "study.toml"):  # fmt: skip
         assert (out / name).stat().st_size > 0, name
+    assert "Sizes for the drawing" in (out / "report.html").read_text("utf-8")
+    (row,) = (row for row in result["sizes"] if row["error"] == "pin_circle_radius")  # of the design that was found
+    limits = result["tolerances"]["pin_circle_radius"]["after"]
+    due = 2 * result["values"]["cycloid.pin_circle_radius"] + limits["lower"] + limits["upper"]
+    assert row["nominal"] == pytest.approx(due, abs=0.51e-6) != pytest.approx(0.128, abs=1e-6)
+    assert row["upper"] - row["lower"] == pytest.approx(2 * (limits["upper"] - limits["lower"]))
 
 
 def test_two_steps_never_beat_the_joint_optimum(designed):

@@ -241,7 +241,7 @@ COMMANDS = {
     "tradeoff": "speed and accuracy of every model, measured on this computer",
     "assemble": "match measured parts: parts and positions of every unit",
     "compensate": "correction table for a controller",
-    "export": "outlines of the parts, or the joint model for a simulator",
+    "export": "outlines or sizes of the parts, or the joint model for a simulator",
 }
 """Every command with its line in the help, in the order of the help."""
 

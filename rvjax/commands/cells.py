@@ -18,16 +18,18 @@ from rvjax.render import (
     Column,
     Content,
     Figure,
+    Number,
     Quantity,
     Section,
     Table,
     Text,
     Zone,
     column,
+    number,
 )
-from rvjax.study import Study
+from rvjax.study import COARSE, Size, Study
 from rvjax.tolerances import Allocation, Estimate, Limits, Statistics, Tolerance, Verdict, slopes_change_sign
-from rvjax.units import rpm, suited, with_unit
+from rvjax.units import mm, readable, rpm, suited, um, with_unit
 
 
 def limits_of(study: Study, field: str, tolerance: Tolerance) -> Zone:
@@ -220,6 +222,43 @@ def assumed_text(study: Study) -> str:
     paths = (number.path for number in stated if number.assumed)
     parts = (path if path.rpartition(".")[0] in known else path.rpartition(".")[0] for path in paths)
     return ", ".join(dict.fromkeys(parts))
+
+
+@dataclass(frozen=True)
+class SizeRow:
+    """A size for the drawing, see `rvjax.study.Size`."""
+
+    part: str = column(Text("part"))
+    feature: str = column(Text("feature", wraps=True))
+    count: int = column(Column("count"))
+    nominal: float | None = column(Number("nominal [mm]", form=".7g"))
+    upper: float = column(Number("upper [um]", form=".2f"))
+    lower: float | None = column(Number("lower [um]", form=".2f"))
+    grade: str = column(Text("grade"))
+    geometric: str = column(Text("geometric", wraps=True))
+    datum: str = column(Text("datum", wraps=True))
+    error: str = column(Text("error"))
+
+
+def sizes_table(rows: Sequence[Size]) -> Table:
+    """Sizes for the drawing; in a file all digits of the limits. Limits that are no lengths have their unit in the row.
+
+    Args:
+        rows: as `rvjax.study.sizes_of` gives them.
+    """
+    found = []
+    for row in rows:
+        name, unit = ("%", 0.01) if row.unit == "-" else readable(row.unit)
+        feature = row.feature if row.unit == "m" else f"{row.feature} [{name}]"
+        lower = None if row.lower is None else row.lower / unit
+        ends = number(row.nominal, mm), row.upper / unit, lower
+        found.append(SizeRow(row.part, feature, row.count, *ends, row.grade, row.geometric, row.datum, row.error))
+    note = (
+        "A size is its nominal plus one deviation from each of its rows. An upper limit alone is the width of a zone. "
+        "A nominal is the target, rounded to 1 um, or to 10 um where all half-widths of its errors exceed "
+        f"{COARSE / um:g} um (assumed)."
+    )
+    return Table.of(SizeRow, "sizes", found, caption="Sizes for the drawing:", note=note)
 
 
 MOST = 4  # items whose findings the text and the page show; the file has all

@@ -15,7 +15,7 @@ from rvjax.population.estimates import (
     unknown_share as unknown_share,
     wilson as wilson,
 )
-from rvjax.population.grades import GRADES as GRADES, it_width
+from rvjax.population.grades import GRADES as GRADES, coarsest_grade as coarsest_grade, it_width
 from rvjax.population.measured import MeasuredColumn, MeasuredParts, measured
 from rvjax.population.population import (
     TURN as TURN,

@@ -48,3 +48,16 @@ def it_width(grade: str, size: Scalar) -> float:
     # 0.03 m / mm is 30.000000000000004 in floating point and still belongs to the step "up to 30 mm".
     step = next(end for end in _WIDTHS if in_mm <= end or math.isclose(in_mm, end, rel_tol=1e-12))
     return _WIDTHS[step][GRADES.index(grade)] * um
+
+
+def coarsest_grade(width: float, size: float) -> str:
+    """Coarsest grade whose tolerance zone is not wider than a width, "" for none or a size outside the table.
+
+    ISO 286-1, Table 1.
+
+    Args:
+        width: of the tolerance zone, m.
+        size: nominal size, m.
+    """
+    inside = 0 < size <= 500 * mm
+    return next((g for g in reversed(GRADES) if inside and it_width(g, size) <= width * (1 + 1e-9)), "")

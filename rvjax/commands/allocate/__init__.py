@@ -35,6 +35,7 @@ from rvjax.commands.allocate.full_model_check import (
 )
 from rvjax.commands.allocate.tables import (
     data_of,
+    drawing_table as drawing_table,
     figures as figures,
     requirement_table as requirement_table,
     tolerance_tables as tolerance_tables,
@@ -267,6 +268,7 @@ def report_on(answer: Answer) -> Report:
         content=(
             Note(headline(answer)),
             *tolerance_tables(answer),
+            drawing_table(answer),
             *influence_tables(answer.study, answer.after.influence),
             requirement_table(answer),
             *unlimited_tables(answer.unlimited, answer.study),

@@ -22,6 +22,7 @@ from rvjax.commands.cells import (
     limits_of,
     met_text,
     price_text,
+    sizes_table,
 )
 from rvjax.render import (
     PAGE,
@@ -40,6 +41,7 @@ from rvjax.render import (
     column,
     number,
 )
+from rvjax.study import sizes_of
 from rvjax.tolerances import Allocation, least_yield
 from rvjax.units import readable, with_unit
 
@@ -96,6 +98,11 @@ def tolerance_tables(answer: Answer) -> list[Table]:
     total = ToleranceRow("sum", cost_before=sums[0], cost_after=sums[1], cost_graded=graded.cost if graded else None)
     table = functools.partial(Table.of, ToleranceRow, "tolerances", without=() if graded else GRADED)
     return [table(rows, on=IN_FILE), table([*rows, total], on=NOT_IN_FILE, total=True)]
+
+
+def drawing_table(answer: Answer) -> Table:
+    """Sizes for the drawing of the tolerances after."""
+    return sizes_table(sizes_of(answer.study.design, answer.allocation.tolerances))
 
 
 @dataclass(frozen=True)
@@ -217,6 +224,7 @@ def data_of(answer: Answer) -> dict[str, object]:
             }
             for field in study.fields
         },
+        "sizes": sizes_of(study.design, allocation.tolerances),
         "shares": {"after": answer.after.shares},
         "influence": answer.after.influence,
         "limits": {name: limit_text(item, study.output(name)) for name, item in study.requirements.items()},

@@ -10,14 +10,14 @@ from rvjax.base.files import versions
 from rvjax.catalogue import steep
 from rvjax.commands import READING, WRITING, Inputs, argument, option, quiet_option, results_option, switch
 from rvjax.commands.allocate import answer
-from rvjax.commands.cells import assumed_text, failures_text, limits_data
+from rvjax.commands.cells import assumed_text, failures_text, limits_data, sizes_table
 from rvjax.commands.design.optimum import JOINT, STEPS, TRADE, UNSCALED, Designed, Point, optima
 from rvjax.commands.design.prices import block, price_note, script, slope, unit_of_number
 from rvjax.commands.design.tables import headline, laws_of, numbers, others, requirements_of, saved_part, tolerances_of
 from rvjax.commands.forecast import forewarn, read_study
 from rvjax.population import sample
 from rvjax.render import Figure, Note, Report, Section, leading_comment, results_folder
-from rvjax.study import Study, StudyError, kind_of, number_at, outside, shown
+from rvjax.study import Size, Study, StudyError, kind_of, number_at, outside, shown, sizes_of
 
 FRONT, MOST = 4, 16  # points of the trade front
 
@@ -111,7 +111,7 @@ def report(inputs: DesignInputs, found: Designed) -> Report:
         content=(
             Note(head, frozenset({"text"})),
             Section("Numbers of the design", (numbers(study, found), *_named(inputs, found, "section"))),
-            Section("Tolerances", (tolerances_of(study, found),)),
+            Section("Tolerances", (tolerances_of(study, found), sizes_table(_sizes(found)))),
             Section("Requirements", (*requirements_of(study, found), Note(fresh))),
             Section("Prices in one currency", (price_note(study, found),)),
             *((block(),) if joint.margins else ()),
@@ -134,6 +134,11 @@ def report(inputs: DesignInputs, found: Designed) -> Report:
         },
         main="report.html",
     )
+
+
+def _sizes(found: Designed) -> list[Size]:
+    """Sizes for the drawing of the optimum."""
+    return sizes_of(found.joint.design, found.joint.found.tolerances)
 
 
 def _named(inputs: DesignInputs, found: Designed, name: str) -> Iterator[Any]:
@@ -195,6 +200,7 @@ def data(study: Study, found: Designed) -> dict[str, Any]:
             | ({"price": -slope(study, found.joint, field)} if field in joint.costs else {})
             for field in study.fields
         },
+        "sizes": _sizes(found),
         "joint": _point(study, found.joint),
         "two_step": _point(study, found.two_step),
         "fixed_in_the_first_step": found.fixed,

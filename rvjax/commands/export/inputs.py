@@ -22,24 +22,28 @@ UNITS = 256
 STATISTICS = {"median": 0.5, "p99": 0.99}
 ALL = "all"  # parts
 JOINT = ("unit", "rated_torque", "damping", "input_inertia", "output_inertia", "samples")
-OUTLINE = ("part", "disc", "chord", "result")
+OUTLINE = ("part", "disc", "chord", "result")  # the last one of sizes too
 """Options of one kind of file."""
+SIZES = "sizes"
 
 
 @dataclass(kw_only=True)
 class ExportInputs(Inputs):
-    """Write the outlines of disc, ring and carrier for CAD and wire EDM (.dxf, .svg, .csv), or the joint model of the
-    reducer for a simulator (.xml, .mo, .urdf, .json). Existing files are never overwritten.
+    """Write the outlines of disc, ring and carrier for CAD and wire EDM (.dxf, .svg, .csv), the sizes for the drawing
+    (.csv with --as sizes), or the joint model of the reducer for a simulator (.xml, .mo, .urdf, .json). Existing files
+    are never overwritten.
 
     examples:
       rvjax export my-study.toml disc.dxf
       rvjax export my-study.toml parts.svg --part all --result results/my-study
+      rvjax export my-study.toml sizes.csv --as sizes --result results/my-study
       rvjax export my-study.toml joint.xml
       rvjax export my-study.toml joint.mo --rated-torque "412 N m" --damping "50 N m s/rad"
       rvjax export my-study.toml joint.json --unit p99 --samples 1000
       rvjax export my-study.toml joint.urdf --unit unit-17.toml
 
-    Outlines have the sizes of the design, or of the mid-points of a result. DXF needs the extra cad.
+    Outlines have the sizes of the design, or of the mid-points of a result. DXF needs the extra cad. Sizes for the
+    drawing have the tolerances of the study, or those of a result.
 
     A joint model has backlash, stiffness, friction and inertia; it needs [design.friction], [design.stiffness] and
     [design.contact]. Endings: .xml (MJCF), .mo (Modelica), .urdf, .json. A unit is "nominal" (no
@@ -52,7 +56,7 @@ class ExportInputs(Inputs):
     form: str = option(
         "format of the file (default: by its ending)",
         default="",
-        choices=["mjcf", "modelica", "urdf", "json"],
+        choices=["mjcf", "modelica", "urdf", "json", SIZES],
         flag="--as",
     )
     unit: str = option(
@@ -85,7 +89,10 @@ class ExportInputs(Inputs):
     chord: float | None = option(
         "largest distance of flank and line, such as '5 um' (default: 1 um)", "LENGTH", unit="m", sign="positive"
     )
-    result: str | None = option("results folder of rvjax allocate, whose mid-points the outlines have", "FOLDER")
+    result: str | None = option(
+        "results folder of rvjax allocate, whose mid-points the outlines have, and the sizes its tolerances too",
+        "FOLDER",
+    )
     quiet: bool = quiet_option()
 
     def __post_init__(self) -> None:
@@ -101,16 +108,21 @@ class ExportInputs(Inputs):
         if not (self.form or self.drawing):
             ends = ", ".join((*endings, *DRAWINGS))
             raise ValueError(f"{self.file}: must end with one of {ends}, or give --as")
+        if self.form == SIZES and self.file.suffix != ".csv":
+            raise ValueError(f"{self.file}: must end with .csv; --as {SIZES} writes a table")
         if self.file.exists():
             raise ValueError(f"{self.file}: exists already; name a new file")
         check_writable(self.file)
-        others = JOINT if self.drawing else OUTLINE
+        what, others = self._others()
         if unused := [flag_of(f.name) for f in dataclasses.fields(self) if f.name in others and self.given(f)]:
-            what = "an outline" if self.drawing else "a joint model"
             raise ValueError(f"{unused[0]}: {self.file} is {what}, which has no such option")
         self.chord = um if self.chord is None else self.chord
         if self.drawing:
             self.study = study.load(self.source, solve=False, needs=("design",))
+            return
+        if self.form == SIZES:
+            needs = ("design",) if self.result is not None else ("design", "tolerances")
+            self.study = study.load(self.source, solve=False, needs=needs)
             return
         if self.samples is not None and not statistic:
             raise ValueError(f"--samples {self.samples}: needs --unit {' or '.join(STATISTICS)}")
@@ -127,6 +139,12 @@ class ExportInputs(Inputs):
             option: a field.
         """
         return bool(getattr(self, option.name) != option.default)
+
+    def _others(self) -> tuple[str, tuple[str, ...]]:
+        """The kind of file in words, and the options of other kinds."""
+        if self.form == SIZES:
+            return "a table of sizes", (*JOINT, *OUTLINE[:-1])
+        return ("an outline", JOINT) if self.drawing else ("a joint model", OUTLINE)
 
     def _checked(self) -> float:
         """The rated torque; the design and the options allow a joint model."""

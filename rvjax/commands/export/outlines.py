@@ -9,6 +9,7 @@ import rvjax
 from rvjax.commands.compare.results import answered, result
 from rvjax.commands.export.inputs import ALL, ExportInputs
 from rvjax.geometry import DRAWINGS, PARTS, Outline, layer, outline
+from rvjax.records import PyTree
 from rvjax.render import Note, Report, Table, Text
 from rvjax.study import StudyError, mid_points, naming
 from rvjax.units import mm, um
@@ -16,7 +17,31 @@ from rvjax.units import mm, um
 CERTIFIED = ("OPTIMAL", "SUBOPTIMAL", "MAX_STEPS")
 
 
-def outlines(inputs: ExportInputs) -> dict[str, Outline]:
+def tolerances_of(inputs: ExportInputs) -> PyTree:
+    """Tolerances of the result that an option names, else of the study.
+
+    Raises:
+        StudyError: a result of another design, in one line.
+    """
+    study, design = inputs.study, inputs.study.design
+    if inputs.result is None:
+        return study.tolerances
+    other, tolerances = answered(inputs.result)
+    leaves, own = jax.tree.leaves(design), jax.tree.leaves(other.design)
+    alike = str(jax.tree.structure(design)) == str(jax.tree.structure(other.design))  # counts and kind
+    if not (alike and all(map(np.array_equal, leaves, own))):
+        raise StudyError(f"--result {inputs.result}: is the result of another design than {study.name}")
+    return tolerances
+
+
+def of_result(inputs: ExportInputs) -> str:
+    """Name and status of the result that an option names, in words."""
+    assert inputs.result is not None
+    status = str(result(inputs.result)["status"])
+    return f"{inputs.result}, {status}{'' if status in CERTIFIED else ': not certified'}"
+
+
+def compute(inputs: ExportInputs) -> dict[str, Outline]:
     """Outlines by part.
 
     Args:
@@ -26,14 +51,7 @@ def outlines(inputs: ExportInputs) -> dict[str, Outline]:
         StudyError: parts that do not exist or do not fit, in one line.
     """
     study, design, chord = inputs.study, inputs.study.design, inputs.chord or um
-    errors = None
-    if inputs.result is not None:
-        other, tolerances = answered(inputs.result)
-        leaves, own = jax.tree.leaves(design), jax.tree.leaves(other.design)
-        alike = str(jax.tree.structure(design)) == str(jax.tree.structure(other.design))  # counts and kind
-        if not (alike and all(map(np.array_equal, leaves, own))):
-            raise StudyError(f"--result {inputs.result}: is the result of another design than {study.name}")
-        errors = mid_points(tolerances, design.error_record)
+    errors = None if inputs.result is None else mid_points(tolerances_of(inputs), design.error_record)
     wanted = PARTS if inputs.part == ALL else (inputs.part,)
     with naming(study.name):
         return {
@@ -53,10 +71,7 @@ def report(inputs: ExportInputs, found: dict[str, Outline]) -> Report:
     """
     study = inputs.study
     digest = hashlib.sha256(study.text.encode()).hexdigest()[:12]
-    sizes = "the design"
-    if inputs.result is not None:
-        status = str(result(inputs.result)["status"])
-        sizes = f"the mid-points of {inputs.result}, {status}{'' if status in CERTIFIED else ': not certified'}"
+    sizes = "the design" if inputs.result is None else f"the mid-points of {of_result(inputs)}"
     missing = [f"{part}: {what}" for part, one in found.items() for what in one.unknown]
     about = [
         f"Outlines of {study.name} (study {digest}), rvjax {rvjax.__version__}; millimetres.",

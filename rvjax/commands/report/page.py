@@ -11,6 +11,7 @@ from rvjax._jax.sizes import PULLED, padded
 from rvjax.base.words import words
 from rvjax.commands.allocate import (
     Answer,
+    drawing_table,
     figures,
     limits_of_the_answer,
     requirement_table,
@@ -80,8 +81,8 @@ def page_of(found: Shown, source: str, *, date: str = "") -> str:
     answer, study = found.answer, found.answer.study
     drawn = {figure.name: figure for figure in figures(answer)}
     unlimited = unlimited_tables(answer.unlimited, answer.study)
-    result = Section("Result", (requirement_table(answer), *unlimited, *tolerance_tables(answer)))
-    sections: list[Content] = [result, _requirements(answer, drawn), _tolerances(drawn)]
+    tables = requirement_table(answer), *unlimited, *tolerance_tables(answer), drawing_table(answer)
+    sections: list[Content] = [Section("Result", tables), _requirements(answer, drawn), _tolerances(drawn)]
     sections += [sliders.block(found.surrogate, answer)] if found.surrogate else []
     sections += [sliders.without(source)] if study.costly and not found.surrogate else []
     sections += [design_section(study), _influence(answer, drawn)]

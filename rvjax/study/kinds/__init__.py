@@ -10,6 +10,7 @@ from rvjax.mesh_force import largest_roller_radius, undercut_margin
 from rvjax.mounting import unit_errors
 from rvjax.records import PyTree, Record, Scalar
 from rvjax.study.kinds import cycloidal
+from rvjax.study.kinds.features import features
 from rvjax.study.kinds.kind import (
     Assumed as Assumed,
     Drawing as Drawing,
@@ -84,6 +85,7 @@ _RV = Kind(
     starts=STARTS,
     needed=NEEDED,
     torque=rated_torque,
+    features=features("ring", "rv"),
 )
 
 
@@ -101,6 +103,7 @@ _CAM_ROLLER = Kind(
     facts=lambda design: [("rollers", str(design.gear_teeth + 1))],
     doubts=_roller_doubts,
     starts={"": Start("corr")},
+    features=features("oscillatory-roller"),
 )
 
 KINDS: dict[type, Kind] = {kind.design: kind for kind in (_RV, _CAM_ROLLER, cycloidal.KIND)}

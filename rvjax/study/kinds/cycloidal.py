@@ -13,6 +13,7 @@ from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.mounting import unit_errors
 from rvjax.records import Scalar
 from rvjax.study.kinds.drive_starts import FLANK, HOLE, NEEDED, PROCESSES, RATED, START, free_play, rated_torque
+from rvjax.study.kinds.features import features
 from rvjax.study.kinds.kind import Drawing, Kind
 from rvjax.units import arcmin
 
@@ -257,4 +258,5 @@ KIND = Kind(
     needed=NEEDED,
     torque=rated_torque,
     processes=tuple(PROCESSES),
+    features=features("ring", "cycloidal"),
 )

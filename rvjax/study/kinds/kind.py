@@ -7,6 +7,7 @@ from typing import Any
 
 from rvjax.catalogue import BASES
 from rvjax.records import PyTree
+from rvjax.study.kinds.features import Feature
 from rvjax.study.kinds.scaling import Following
 from rvjax.study.values import Toml
 
@@ -162,6 +163,7 @@ class Kind:
             reducers only.
         torque: reducer -> rated torque, N m, where its file gives none.
         processes: that make the parts of a new study; empty: tolerances follow the size alone.
+        features: of the parts, by the error that belongs to each.
     """
 
     design: type
@@ -189,6 +191,7 @@ class Kind:
     needed: tuple[str, ...] = ()
     torque: Callable[[Known], Assumed | None] = _nothing
     processes: tuple[str, ...] = ()
+    features: Mapping[str, Feature] = field(default_factory=dict)
 
     @property
     def word(self) -> str:
