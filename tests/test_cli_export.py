@@ -123,7 +123,11 @@ def test_a_nominal_unit_without_clearance_is_warned_of(folder, monkeypatch, caps
 
     drive = (folder / "drive.toml").read_text()
     (folder / "tight.toml").write_text(
-        drive.replace('base = "cycloidal-17"', f'base = "cycloidal-17"\ncycloid.equidistant_modification = "{size}"', 1)
+        drive.replace(
+            'base = "cycloidal-17"',
+            f'base = "cycloidal-17"\ncycloid = {{disc_count = 1, equidistant_modification = "{size}"}}',
+            1,
+        )
     )
     assert cli.main(["export", "tight.toml", "t.json", "--quiet"]) == 0
     assert ("warning: the nominal unit has no clearance" in capsys.readouterr().out) == warned

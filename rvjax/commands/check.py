@@ -224,7 +224,7 @@ FARTHEST = 3.0  # ratio of an assumed number to its value beyond which it is no 
 def _remedy(study: Study, name: str, value: float) -> str:
     """Text on the assumed number whose smallest change meets a limit at the mid-points, to first order; "" for none.
 
-    Value and number follow a power law whose exponent is their slope at the number of the study.
+    The value is a power of the number, whose exponent is its relative slope at the number of the study.
     """
     if not math.isfinite(value) or not value:
         return ""

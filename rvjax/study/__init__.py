@@ -69,4 +69,4 @@ __all__ = ["BASES", "Conditions", "EMBEDDED", "KNOWN_DESIGNS", "Loop", "Measured
 __all__ += ["Run", "Study", "StudyError", "TORQUE", "Candidate", "choice", "embedded_names", "field_unit"]
 __all__ += ["identification_of", "integer", "inverse_problem", "facts_of", "known", "load", "naming", "numbers"]
 __all__ += ["order_name", "parse_study", "quantity", "scaled", "read_measured", "shown", "study_template", "subtable"]
-__all__ += ["candidates"]
+__all__ += ["Size", "candidates", "sizes_of"]
