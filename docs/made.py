@@ -11,6 +11,7 @@ import rvjax
 from benchmarks.tables import table
 from rvjax import levels, plotting, published
 from rvjax.levels.table import stored as measured_levels
+from rvjax.study.kinds import drive_starts
 from rvjax.units import arcsec, readable
 
 
@@ -74,6 +75,17 @@ def _reproduce():
     return table(["verdict", "figures"], [*verdicts, ("all", sum(counts.values()))]) + "\n" + "\n".join(blocks)
 
 
+def _processes():
+    """Processes of single-stage drives, at the sizes of the drive of 17 lobes."""
+    heads = ["process", "flank", "positions, diametral", "throw", "holes", "offset of flanks", "clearance of holes"]
+    keys = {"flank": "+-", "position": "", "throw": "+-", "hole": "+-", "flank_clearance": "", "hole_clearance": ""}
+    rows = [
+        (f"`{name}`", *(sign + own[key] for key, sign in keys.items()), ", ".join(own["materials"]))
+        for name, own in drive_starts.PROCESSES.items()
+    ]
+    return table([*heads, "materials"], rows)
+
+
 def _plain(text):
     """Ledger text is plain: nothing in it is Markdown."""
     for character in "\\`*_<>$[]{}":
@@ -89,6 +101,7 @@ TEXTS = {
     "coverage_intervals": measured.coverage_intervals,
     "coverage_rare": measured.coverage_rare,
     "levels": _levels,
+    "processes": _processes,
     "reproduce": _reproduce,
     "two_models": two_studies.models,
     "two_studies": two_studies.yields,
