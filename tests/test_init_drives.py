@@ -129,11 +129,13 @@ def test_numbers_of_a_drawing_stand(drawing):
         ("cycloidal-17", "laser", "--process = 'laser': must be one of milled, wire-cut, printed, ground"),
         ("rv-40e", "milled", "--process milled: tolerances of an RV reducer follow its size alone"),
         ("drawing.toml", "milled", r"\[design\] lacks output.count \(output pins, n\)"),
+        ("sharp.toml", "", r"design.cycloid.pin_radius = 3.5 mm: pins from .* cut into the flank .*undercut"),
     ],
 )
 def test_a_wrong_process_or_drawing_is_one_line(drawing, tmp_path, monkeypatch, capsys, base, process, words):
     monkeypatch.chdir(tmp_path)
     drawing(DRAWING.replace("output.count = 6\n", ""))
+    (tmp_path / "sharp.toml").write_text(DRAWING.replace('"2.5 mm"', '"3.5 mm"').replace('"1.5 mm"', '"1.9 mm"'))
     assert cli.main(["init", "mine.toml", "--base", base, "--process", process]) == 2
     said = capsys.readouterr().err
     assert re.search(words, said) and len(said.splitlines()) == 1 and not (tmp_path / "mine.toml").exists()

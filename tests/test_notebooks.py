@@ -92,7 +92,7 @@ def test_is_stored_small_clean_and_with_its_pictures(path):
         assert not re.search(r"(?<![\w.])/(home|root|work|tmp|usr|opt|Users)\b|Traceback|[A-Z]:\\\\", text), text
 
 
-def test_all_eleven_are_here():
-    assert [path.name[:2] for path in NOTEBOOKS] == [f"{number:02d}" for number in range(1, 12)]
+def test_all_twelve_are_here():
+    assert [path.name[:2] for path in NOTEBOOKS] == [f"{number:02d}" for number in range(1, 13)]
     listed = (FOLDER / "README.md").read_text()
     assert all(path.name in listed for path in NOTEBOOKS)

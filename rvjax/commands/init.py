@@ -165,7 +165,9 @@ def _joined(given: Known, more: Mapping[str, Assumed], start: Start, rest: str) 
     named = f'kind = "{given.kind.word}"\n' + "\n".join(lines(given, more, start.parts))
     head = start.head.format(name=given.name) + ABOUT + "[design]\n"
     try:
-        parse_study(head + named + "\n\n" + rest, name=given.name, solve=False)
+        made = parse_study(head + named + "\n\n" + rest, name=given.name, solve=False)
+        if given.drawing and (sharp := catalogue.undercut(made.design)):
+            raise StudyError(f"{given.name}: design.{sharp[0]}")
     except StudyError as contradiction:  # published so: possible by name alone
         if given.drawing:
             raise
