@@ -110,18 +110,19 @@ def met_text(requirement: Limits, verdict: Verdict, samples: int) -> str:
     return f"not shown with {samples:,} units" if unsure else "not met"
 
 
-def rejects_texts(study: Study, verdicts: Mapping[str, Verdict]) -> dict[str, str]:
-    """A line for each response with a limit of zero on what the units below it do, such as "1.2 % of the units jam".
+def rejects_texts(study: Study, found: Statistics) -> dict[str, str]:
+    """A line for each response with the only limit zero on what units below do, such as "1.2 % of the units jam".
 
     Args:
         study: with the limits.
-        verdicts: by response.
+        found: statistics of units; failed ones are not below.
     """
     lines = {}
-    for name, verdict in verdicts.items():
-        verb = study.output(name).rejects
-        if verb and verdict.kind == "share" and study.requirements[name].lower == 0:
-            lines[name] = f"{100 * (1 - verdict.estimate.value):.3g} % of the units {verb} ({name} below 0)"
+    for name, verdict in (found.verdicts or {}).items():
+        verb, limits = study.output(name).rejects, study.requirements[name]
+        if verb and verdict.kind == "share" and limits.lower == 0 and math.isinf(limits.upper):
+            below = 1 - verdict.estimate.value - found.failed / found.samples
+            lines[name] = f"{100 * max(below, 0.0):.3g} % of the units {verb} ({name} below 0)"
     return lines
 
 
@@ -232,7 +233,7 @@ class SizeRow:
     feature: str = column(Text("feature", wraps=True))
     count: int = column(Column("count"))
     nominal: float | None = column(Number("nominal [mm]", form=".7g"))
-    upper: float = column(Number("upper [um]", form=".2f"))
+    upper: float | None = column(Number("upper [um]", form=".2f"))
     lower: float | None = column(Number("lower [um]", form=".2f"))
     grade: str = column(Text("grade"))
     geometric: str = column(Text("geometric", wraps=True))
@@ -250,8 +251,8 @@ def sizes_table(rows: Sequence[Size]) -> Table:
     for row in rows:
         name, unit = ("%", 0.01) if row.unit == "-" else readable(row.unit)
         feature = row.feature if row.unit == "m" else f"{row.feature} [{name}]"
-        lower = None if row.lower is None else row.lower / unit
-        ends = number(row.nominal, mm), row.upper / unit, lower
+        upper, lower = (None if end is None else float(f"{end / unit:.13g}") for end in (row.upper, row.lower))
+        ends = number(row.nominal, mm), upper, lower
         found.append(SizeRow(row.part, feature, row.count, *ends, row.grade, row.geometric, row.datum, row.error))
     note = (
         "A size is its nominal plus one deviation from each of its rows. An upper limit alone is the width of a zone. "

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from rvjax.outputs import Output
 from rvjax.population import Population, root_key
 from rvjax.render import Figure, Limits, Note, Number, Report, Table, Text
 from rvjax.response import respond_units
-from rvjax.status import SUCCESS, Status
+from rvjax.status import SUCCESS, Status, worst
 from rvjax.study import KINDS, Response, Study, facts_of, kind_of, mid_points, number_at, numbers, outcome_of, shown
 from rvjax.units import with_unit
 
@@ -88,9 +89,11 @@ def compute(inputs: CheckInputs) -> Checked:
     study = inputs.study
     begin(SOLVING)
     values, status = study.at_mid_points(study.further) if study.requirements else ({}, Status.CONVERGED)
+    if status not in SUCCESS and study.further:  # perhaps of an output without a limit
+        values, status = study.at_mid_points()
     facts, turning = list(facts_of(study.design)), _turning(study)
     missed = missed_at_mid_points(study, values) if status in SUCCESS else {}
-    remedies = {name: text for name in missed if (text := _remedy(study, name, values[name]))}
+    remedies = {name: text for name in missed if (text := _remedy(study, name, values))}
     return Checked(facts, _magnitudes(study), choices(study), values, status, turning, remedies)
 
 
@@ -219,34 +222,37 @@ def _warnings(study: Study, found: Checked) -> list[str]:
 
 
 FARTHEST = 3.0  # ratio of an assumed number to its value beyond which it is no remedy
+FURTHER = 1.05  # exponent of the ratio, because the value is a power of a number to first order only
 
 
-def _remedy(study: Study, name: str, value: float) -> str:
-    """Text on the assumed number whose smallest change meets a limit at the mid-points, to first order; "" for none.
+def _remedy(study: Study, name: str, found: Mapping[str, float]) -> str:
+    """Text on an assumed number whose change meets a limit at the mid-points and keeps all that are met; "" for none.
 
-    The value is a power of the number, whose exponent is its relative slope at the number of the study.
+    Args:
+        study: with the limits.
+        name: of the missed limit.
+        found: required outputs of the unit at the mid-points, SI.
     """
-    if not math.isfinite(value) or not value:
-        return ""
-    limits, errors = study.requirements[name], mid_points(study.tolerances, study.design.error_record)
-    response = study.response_of(name)
-    slopes = jax.grad(lambda design: outcome_of(response.replace(design=design), errors).value[name])(study.design)
-    due = min((limits.lower, limits.upper), key=lambda limit: abs(limit - value)) / value
-    found = []
-    for number in study.numbers:
-        slope = number_at(slopes, number.path)
-        if not number.assumed or np.ndim(number.value) or isinstance(number.value, int | str) or not number.value:
-            continue
-        exponent = float(slope) * float(number.value) / value
-        if due > 0 and abs(exponent) * math.log(FARTHEST) > abs(math.log(due)):
-            ratio = due ** (1 / exponent)
-            found.append(
-                (abs(math.log(ratio)), number.path, *(shown(r * number.value, number.unit) for r in (ratio, 1)))
-            )
-    if not found:
-        return "the limit is assumed" if name in study.assumed_limits else ""
-    _, path, new, old = min(found)
-    return f"{path} = {new} would meet it, to first order; {old} is assumed"
+    value, limits = found[name], study.requirements[name]
+    ends = [limit for limit in (limits.lower, limits.upper) if math.isfinite(limit)]
+    due = min(ends, key=lambda limit: abs(limit - value)) / value if math.isfinite(value) and value and ends else 0.0
+    allowed = kind_of(study.design).remedies
+    numbers = [one for one in study.numbers if one.assumed and one.path in allowed and not np.ndim(one.value)]
+    if due > 0 and numbers:
+        errors = mid_points(study.tolerances, study.design.error_record)
+        own, every = study.response_of(name), study.response(solve=False)
+        slopes = jax.grad(lambda design: outcome_of(own.replace(design=design), errors).value[name])(study.design)
+        for one in numbers:
+            exponent = float(number_at(slopes, one.path)) * float(one.value) / value
+            if abs(exponent) * math.log(FARTHEST) < abs(math.log(due)):
+                continue
+            new = float(one.value) * due ** (FURTHER / exponent)
+            other = outcome_of(every.replace(design=study.design_with({one.path: new})), errors)
+            margins = {key: limits.margin(float(other.value[key])) for key, limits in study.requirements.items()}
+            held = [key for key, limits in study.requirements.items() if limits.margin(found[key]) <= 0]
+            if int(worst(other.status)) in SUCCESS and all(margins[key] <= 0 for key in (name, *held)):
+                return f"{one.path} = {shown(new, one.unit)} would meet it; {shown(one.value, one.unit)} is assumed"
+    return "the limit is assumed" if name in study.assumed_limits else ""
 
 
 def _data(study: Study, found: Checked) -> dict[str, object]:

@@ -115,7 +115,7 @@ class Written:
 
 def compute(inputs: InitInputs) -> Written:
     """Text of the new study."""
-    if inputs.design and inputs.base == "rv-40e":
+    if inputs.design and inputs.base == "rv-40e" and not inputs.process:
         return Written(with_variables(), "four-bar", inputs.base)
     return written(inputs.base, inputs.model, inputs.process, variables=inputs.design)
 
@@ -203,7 +203,7 @@ def known(base: str, process: str = "") -> Known:
     else:
         design: PyTree = BASES[choice(base, BASES, "--base")]
         numbers = {path: value for path, value, _ in walk(design)}
-        found = Known(base, kind_of(design), numbers, dict.fromkeys(catalogue.assumed(base), "assumed"), None)
+        found = Known(base, base, kind_of(design), numbers, dict.fromkeys(catalogue.assumed(base), "assumed"), None)
     if process and not found.kind.processes:
         raise ValueError(f"--process {process}: tolerances of {found.kind.name} follow its size alone")
     found = replace(found, process=process and choice(process, found.kind.processes, "--process"))
@@ -238,7 +238,14 @@ def _drawn(path: Path) -> Known:
         notes = {path: note for path, note in comments(text).items() if path in numbers}
         said |= {path: "" if is_replaced(numbers[path], about[path], note) else note for path, note in notes.items()}
         torque, unread = _torque(subtable(tables, "conditions")), tuple(sorted(set(tables) - FILE_PARTS))
-        return Known(str(path), kind, numbers, said, torque, True, unread, stated=frozenset(given_paths(table)))
+        for name, value in numbers.items():
+            if about[name].get("sign") == "positive" and np.any(np.asarray(value) <= 0):
+                raise ValueError(
+                    f"design.{name} = {in_unit(float(np.min(value)), about[name]['unit'])}: must be positive"
+                )
+        return Known(
+            str(path), str(base or ""), kind, numbers, said, torque, True, unread, stated=frozenset(given_paths(table))
+        )
 
 
 def _lacking(kind: Kind, numbers: Mapping[str, object]) -> list[str]:

@@ -190,7 +190,18 @@ def is_assumed(text: str) -> bool:
     return bool(catalogue.ASSUMED.search(text))
 
 
-INITIALLY = re.compile(r"\binitially ([^;#]+)$")  # in the comment of an assumed value: the value
+INITIALLY = re.compile(r"\binitially ([^;#]+)")  # in the comment of an assumed value: the value
+
+
+def is_initial(text: object, note: str) -> bool:
+    """True if a comment gives no assumed value, or the one that the file has.
+
+    Args:
+        text: as the file has it.
+        note: its comment.
+    """
+    given = INITIALLY.search(note)
+    return given is None or given[1].strip() == text
 
 
 def is_replaced(value: PyTree, about: Metadata, note: str) -> bool:

@@ -22,6 +22,7 @@ from rvjax.study.design import (
     doubts,
     given_paths,
     is_assumed,
+    is_initial,
 )
 from rvjax.study.goals import Price
 from rvjax.study.identification import Identification
@@ -253,8 +254,12 @@ class Study:
     def assumed_limits(self) -> set[str]:
         """Responses whose limit the study marks as assumed."""
         entries = self.tables.get("requirement", {})
-        said = [path.partition(".")[0] for path, text in comments(self.text, "requirement").items() if is_assumed(text)]
-        return {entries[key].get("response", key) for key in said}
+        found = set()
+        for path, note in comments(self.text, "requirement").items():
+            key, _, limit = path.partition(".")
+            if is_assumed(note) and is_initial(entries[key].get(limit), note):
+                found.add(entries[key].get("response", key))
+        return found
 
     def design_with(self, values: Mapping[str, Scalar], *, similar: bool = True) -> PyTree:
         """The design with other numbers, and with all that follows from them.
@@ -311,11 +316,11 @@ class Study:
         lines.pop("", None)
         said = [f"{line} (for {', '.join(names)})" if len(lines) > 1 else line for line, names in lines.items()]
         known = models.kind(self.design).outputs
-        parts = {name: span for name in self.requirements if SPAN in known[name].meaning and (span := self._span(name))}
-        short = [name for name, span in parts.items() if span != WHOLE]
-        if short:
-            said.append(f"{WHOLE}: {', '.join(short)} {'are' if len(short) > 1 else 'is'} read over {parts[short[0]]}")
-        return said
+        spans: dict[str, list[str]] = {}
+        for name in self.requirements:
+            if SPAN in known[name].meaning and (span := self._span(name)) not in ("", WHOLE):
+                spans.setdefault(span, []).append(name)
+        return said + [f"the rest of a turn: only {span} for {', '.join(names)}" for span, names in spans.items()]
 
     def _span(self, name: str) -> str:
         """Part of a turn of the output over which a response is read; "" for a response of no curve."""

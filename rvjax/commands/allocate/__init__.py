@@ -163,7 +163,7 @@ def limits_of_the_answer(answer: Answer) -> list[str]:
     lines += [f"Inaccurate: {line}" for line in study.inaccurate(answer.allocation.tolerances)]
     lines += [f"Assumed (not published): {assumed_text(study)}"] if study.assumed else []
     lines += searched_texts(study, answer.allocation.tolerances)
-    rejects = rejects_texts(study, answer.allocation.certificate.verdicts)
+    rejects = rejects_texts(study, answer.allocation.certificate)
     lines += rejects.values()
     for name, values in answer.after.values.items():
         below = float(np.mean(np.asarray(values) < 0))

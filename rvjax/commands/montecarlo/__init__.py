@@ -256,7 +256,7 @@ def _verdicts(found: Statistics, study: Study) -> list[str]:
             value = evaluated(verdict, study.output(name)).text()
             met = met_text(study.requirements[name], verdict, found.samples)
             lines.append(f"{name}: {verdict.wanted}: {value}, {met}")
-    lines += [*rejects_texts(study, found.verdicts or {}).values(), *searched_texts(study, study.tolerances)]
+    lines += [*rejects_texts(study, found).values(), *searched_texts(study, study.tolerances)]
     if found.joint_yield is not None:
         lines.append(f"all requirements at once {share(found.joint_yield).text()}")
     return lines

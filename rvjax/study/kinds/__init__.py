@@ -77,6 +77,7 @@ _RV = Kind(
     rated=RATED,
     speed=SPEED,
     of_another_size=of_another_size,
+    remedies=("contact.face_width", "stiffness.turning_arm_bearing", "stiffness.support_bearing"),
     orders=attrgetter("orders"),
     unit_errors=unit_errors,
     drawing=Drawing(

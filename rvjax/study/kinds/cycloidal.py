@@ -211,10 +211,8 @@ def turning(design: CycloidalReducer, tolerances: Any, fits: np.ndarray) -> list
     loose = 0.0 if bearing is None else float(bearing.middle)
     before, after = (free_play({**numbers, **other}, loose) for other in ({}, {FLANK: flank, HOLE: hole}))
     more = f"{abs(after - before) / arcmin:.3g} arcmin {'more' if after > before else 'less'} backlash"
-    return [
-        f"{jam}; {100 * TURNING:g} % turn with equidistant_modification {shown(flank, 'm')} and hole_clearance "
-        f"{shown(hole, 'm')}, which have {more}"
-    ]
+    wide = f"equidistant_modification {shown(flank, 'm')} and hole_clearance {shown(hole, 'm')}"
+    return [f"{jam}; {100 * TURNING:g} % turn, flanks and holes changed alike, with {wide}, which have {more}"]
 
 
 def _caption(design: CycloidalReducer) -> str:
@@ -247,6 +245,7 @@ KIND = Kind(
     doubts=doubts,
     coarse=coarse,
     inaccurate=inaccurate,
+    remedies=("contact.face_width", "stiffness.eccentric_bearing"),
     usual=USUAL,
     turning=turning,
     rated=RATED,

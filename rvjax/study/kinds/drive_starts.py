@@ -30,10 +30,11 @@ OWN = {
 """Usual process and material of the known drives."""
 EXAMPLE = "cycloidal-17"  # its study has the tables of new ones
 RING, FLANK, HOLE = "cycloid.pin_circle_radius", "cycloid.equidistant_modification", "output.hole_clearance"
+DISCS = "cycloid.disc_count"
 MODULUS, POISSON, SEAT = "contact.young_modulus", "contact.poisson_ratio", "stiffness.eccentric_bearing"
 WIDTH = "contact.face_width"
 PINS = ("contact.pin_young_modulus", "contact.pin_poisson_ratio")
-PARTS = ("cycloid", "output", "stiffness", "contact", "bearings")
+PARTS = ("cycloid", "output", "stiffness", "contact", "bearings", "friction")
 NEEDED = (
     "cycloid.disc_teeth", "cycloid.eccentricity", RING, "cycloid.pin_radius", "output.count", "output.circle_radius",
     "output.pin_radius",
@@ -50,6 +51,7 @@ VARIABLES = {  # share of the number at the start, from .. to
     WIDTH: (0.7, 1.5),
 }  # fmt: skip
 PRICE = 5.0  # assumed: of the volume at the start
+LEAST = 0.5  # size over that of a known drive, or its inverse, below which a warning is given; assumed
 YIELDS = 1.79  # largest contact pressure of a line over the yield strength: von Mises
 SLIDING = 0.5  # assumed: share of this pressure for holes, on which the pins slide
 FREE = 9 / 8  # assumed: limit of the backlash over the clearance of the unit at the mid-points
@@ -70,7 +72,7 @@ def process_of(given: Known) -> str:
     Args:
         given: the drive as its source gives it.
     """
-    return given.process or OWN.get(given.name, (next(iter(PROCESSES)),))[0]
+    return given.process or OWN.get(given.base, (next(iter(PROCESSES)),))[0]
 
 
 def material_of(given: Known) -> str:
@@ -82,7 +84,7 @@ def material_of(given: Known) -> str:
     if MODULUS in given.numbers and not _assumed(given, MODULUS):
         return min(MATERIALS, key=lambda name: abs(math.log(given.numbers[MODULUS] / _value(MATERIALS[name], "Pa"))))
     able = PROCESSES[process_of(given)]["materials"]
-    own = OWN.get(given.name, ("", ""))[1]
+    own = OWN.get(given.base, ("", ""))[1]
     return own if own in able else str(able[0])
 
 
@@ -129,12 +131,12 @@ def completed(given: Known, example: CycloidalReducer) -> tuple[Numbers, dict[st
     softer = own["seat"] / MATERIALS[OWN[near][1]]["seat"]
     found = {
         "cycloid.pin_count": Assumed(given.numbers["cycloid.disc_teeth"] + 1, "follows: one more than the lobes"),
-        "cycloid.disc_count": Assumed(donor.cycloid.disc_count, f"assumed: as the {near}"),
+        DISCS: Assumed(donor.cycloid.disc_count, f"assumed: as the {near}"),
         FLANK: Assumed(flank * _value(table, "m", "flank_clearance"), f"assumed: {process}"),
         HOLE: Assumed(hole * _value(table, "m", "hole_clearance"), f"assumed: {process}"),
         MODULUS: Assumed(_value(own, "Pa"), f"assumed: {material}"),
         POISSON: Assumed(own["poisson_ratio"], f"assumed: {material}"),
-        SEAT: Assumed(number_at(donor, SEAT) * size**0.8 * softer, like),
+        SEAT: Assumed(number_at(donor, SEAT) * size**0.8 * softer, like + (f", in {material}" if softer != 1 else "")),
         WIDTH: Assumed(number_at(donor, WIDTH) * size, like),
         **{path: Assumed(number_at(donor, path), "assumed: steel") for path in PINS},
     }
@@ -145,19 +147,26 @@ def completed(given: Known, example: CycloidalReducer) -> tuple[Numbers, dict[st
 def rated_torque(given: Known) -> Assumed:
     """Rated torque, N m: that of the nearest known drive, with the same share of the largest pressure of the material.
 
-    It grows with the third power of the size, with the square of this pressure, and with the softness of the contact.
+    It grows with discs, width, the square of size and pressure, and the softness of the contact.
 
     Args:
         given: the drive as its source gives it.
     """
-    near = given.name if given.name in RATED else _nearest(given.numbers)
-    material, usual = material_of(given), OWN[near][1]
-    size = given.numbers[RING] / number_at(BASES[near], RING)
+    near, numbers = given.base or _nearest(given.numbers), given.numbers
+    donor, material, usual = BASES[near], material_of(given), OWN[near][1]
+    size = numbers[RING] / number_at(donor, RING)
+    discs = numbers.get(DISCS, donor.cycloid.disc_count) / donor.cycloid.disc_count
+    wider = numbers.get(WIDTH, number_at(donor, WIDTH) * size) / number_at(donor, WIDTH)
     stronger = _value(MATERIALS[material], "Pa", "yield_strength") / _value(MATERIALS[usual], "Pa", "yield_strength")
-    value = float(RATED[near] * size**3 * stronger**2 * _stiffness(usual) / _stiffness(material))
-    if material == usual and abs(size - 1) < 1e-9:
+    ratio = float(discs * wider * size**2 * stronger**2 * _stiffness(usual) / _stiffness(material))
+    if abs(ratio - 1) < 1e-9:
         return Assumed(RATED[near], "rated torque of the catalogue")
-    return Assumed(float(f"{value:.2g}"), f"assumed: from {RATED[near]:g} N m of the {near}")
+    far = (
+        ()
+        if LEAST <= size <= 1 / LEAST
+        else (f"{RING}: {size:.3g} times that of the {near}, whose numbers are scaled",)
+    )
+    return Assumed(float(f"{RATED[near] * ratio:.2g}"), f"assumed: from {RATED[near]:g} N m of the {near}", far)
 
 
 def _stiffness(material: str) -> float:
@@ -167,7 +176,7 @@ def _stiffness(material: str) -> float:
 
 
 def free_play(numbers: Numbers, bearing: float) -> float:
-    """Backlash of one disc by its clearances alone, rigid parts, rad (docs/models/single_stage.md, free play).
+    """Backlash of one disc by its clearances alone, rigid parts, rad (docs/models/single_stage.md, Eqs. 4 and 19).
 
     Args:
         numbers: of the design by path, SI.
@@ -178,7 +187,8 @@ def free_play(numbers: Numbers, bearing: float) -> float:
     lever = math.cos(math.pi / (pins * (2 if pins % 2 else 1))) * numbers["output.circle_radius"]  # the shortest best
     aside = np.linspace(0, min(bearing, flank), 200)
     turned = (np.sqrt(bearing**2 - aside**2) + np.sqrt(flank**2 - aside**2)) / (e * numbers["cycloid.disc_teeth"])
-    return float(2 * np.max(turned + (hole + aside) / lever))
+    of_output = numbers["cycloid.disc_teeth"] / numbers["cycloid.pin_count"] if numbers.get("member") == "ring" else 1.0
+    return float(2 * of_output * np.max(turned + (hole + aside) / lever))
 
 
 def _tables(text: str, numbers: Numbers, given: Known) -> str:
@@ -198,6 +208,7 @@ def _tables(text: str, numbers: Numbers, given: Known) -> str:
     }
     pressure = YIELDS * _value(MATERIALS[material], "Pa", "yield_strength")
     backlash = FREE * free_play(numbers, _value(table, "m", "bearing") / 2)
+    why = given.torque.why if given.torque and given.torque.why.startswith("assumed") else None
     strength = f"assumed: {YIELDS:g} times the yield strength of {material}"
     limits = {
         "backlash": (f"{float(f'{backlash / arcmin:.2g}'):g} arcmin", "assumed: 1/8 above the clearances"),
@@ -207,8 +218,10 @@ def _tables(text: str, numbers: Numbers, given: Known) -> str:
 
     def line(path: tuple[str, ...], match: re.Match[str]) -> str:
         if path[0] == "requirement":
-            return stated(match, *limits[path[1]]) if path[1] in limits else match[0]
-        return with_torque(path, match, given.torque) if path[0] == "conditions" else scaled_line(path, match, ratios)
+            return stated(match, *limits[path[1]], f"initially {limits[path[1]][0]}") if path[1] in limits else match[0]
+        return (
+            with_torque(path, match, given.torque, why) if path[0] == "conditions" else scaled_line(path, match, ratios)
+        )
 
     return rewritten(text, line)
 
@@ -234,7 +247,10 @@ def _variables(numbers: Numbers) -> tuple[str, str]:
     }
     tables = ["# Numbers of the design that may change; bounds and prices are assumed", ""]
     for path, (low, high) in VARIABLES.items():
-        lower, upper = (in_unit(part * float(numbers[path]), "m") for part in (low, high))
+        number = float(numbers[path])
+        if not number:
+            continue  # no bounds in proportion
+        lower, upper = (in_unit(end, "m") for end in sorted((low * number, high * number)))
         tables += [f'[variable."{path}"]', f'lower = "{lower}"', f'upper = "{upper}"', ""]
     volume = math.pi * (rp + rr) ** 2 * float(numbers[WIDTH]) * numbers["cycloid.disc_count"]
     tables += ["[objective] # price of the space, in the unit of the costs"]

@@ -42,6 +42,7 @@ class Known:
 
     Attributes:
         name: of the known reducer, or of the file of the drawing.
+        base: known reducer that the numbers begin with; "" for none.
         kind: of the design.
         numbers: given ones by path, SI.
         said: further comment of a number by its path, such as "assumed".
@@ -53,6 +54,7 @@ class Known:
     """
 
     name: str
+    base: str
     kind: "Kind"
     numbers: Numbers
     said: Mapping[str, str]
@@ -148,6 +150,7 @@ class Kind:
         doubts: design -> lines on numbers that no known reducer has.
         coarse: (design, conditions, outputs) -> lines on angles that are too few for some outputs.
         inaccurate: (design, tolerances) -> lines on errors of the results, which every result prints.
+        remedies: paths of numbers of which `rvjax check` may name one that would meet a missed limit.
         usual: outputs that `rvjax check` prints of the unit at the mid-points next to the required ones.
         turning: (design, tolerances, least clearance of random units) -> lines on the share that jams, and on the
             clearances with which 99 % turn; None: no unit of this kind jams.
@@ -178,6 +181,7 @@ class Kind:
     doubts: Callable[[Any], list[str]] = _none
     coarse: Callable[[Any, Any, Collection[str]], list[str]] = _none
     inaccurate: Callable[[Any, Any], list[str]] = _none
+    remedies: tuple[str, ...] = ()
     usual: tuple[str, ...] = ()
     turning: Callable[[Any, Any, Any], list[str]] | None = None
     rated: Mapping[str, float] = field(default_factory=dict)
