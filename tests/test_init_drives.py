@@ -237,15 +237,18 @@ def test_the_assumed_number_that_would_meet_a_limit(monkeypatch):
 
 @pytest.mark.long
 def test_a_remedy_meets_its_limit_in_the_solved_drive(drawing):
-    """Pins at 1.3 times the allowed pressure; the width that is named gives less than it, by its own solution."""
+    """Pins at 1.2 times the allowed pressure; the width that is named gives less than it, by its own solution.
+
+    Pressure falls more slowly than width^(-1/2), because stiffer pins share less: the first step does not meet it.
+    """
     made = read(written(drawing(), process="wire-cut").text)
     values, _ = made.at_mid_points()
-    limits = dict(made.requirements) | {"turn_pin_pressure": Requirement(upper=values["turn_pin_pressure"] / 1.3)}
+    limits = dict(made.requirements) | {"turn_pin_pressure": Requirement(upper=values["turn_pin_pressure"] / 1.2)}
     made = dataclasses.replace(made, requirements=limits)
     found = re.match(r"contact.face_width = ([\d.]+) mm", check._remedy(made, "turn_pin_pressure", values))
     wider = dataclasses.replace(made, design=made.design_with({"contact.face_width": float(found[1]) * mm}))
-    assert wider.at_mid_points()[0]["turn_pin_pressure"] < limits["turn_pin_pressure"].upper
-    assert float(found[1]) == pytest.approx(5.976 * 1.69, rel=0.1)
+    assert 0.95 < wider.at_mid_points()[0]["turn_pin_pressure"] / limits["turn_pin_pressure"].upper < 1
+    assert float(found[1]) > 5.976 * 1.44
 
 
 def test_units_without_clearance_jam_in_words():

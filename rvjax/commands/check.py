@@ -222,7 +222,7 @@ def _warnings(study: Study, found: Checked) -> list[str]:
 
 
 FARTHEST = 3.0  # ratio of an assumed number to its value beyond which it is no remedy
-FURTHER = 1.05  # exponent of the ratio, because the value is a power of a number to first order only
+FURTHER, TRIES = 1.05, 3  # exponent of the ratio, and steps: the value is a power of a number to first order only
 
 
 def _remedy(study: Study, name: str, found: Mapping[str, float]) -> str:
@@ -242,16 +242,21 @@ def _remedy(study: Study, name: str, found: Mapping[str, float]) -> str:
         errors = mid_points(study.tolerances, study.design.error_record)
         own, every = study.response_of(name), study.response(solve=False)
         slopes = jax.grad(lambda design: outcome_of(own.replace(design=design), errors).value[name])(study.design)
+        held = [key for key, limits in study.requirements.items() if limits.margin(found[key]) <= 0]
         for one in numbers:
             exponent = float(number_at(slopes, one.path)) * float(one.value) / value
-            if abs(exponent) * math.log(FARTHEST) < abs(math.log(due)):
-                continue
-            new = float(one.value) * due ** (FURTHER / exponent)
-            other = outcome_of(every.replace(design=study.design_with({one.path: new})), errors)
-            margins = {key: limits.margin(float(other.value[key])) for key, limits in study.requirements.items()}
-            held = [key for key, limits in study.requirements.items() if limits.margin(found[key]) <= 0]
-            if int(worst(other.status)) in SUCCESS and all(margins[key] <= 0 for key in (name, *held)):
-                return f"{one.path} = {shown(new, one.unit)} would meet it; {shown(one.value, one.unit)} is assumed"
+            for _ in range(TRIES):
+                if abs(exponent) * math.log(FARTHEST) < abs(math.log(due)):
+                    break
+                ratio = due ** (FURTHER / exponent)
+                new = ratio * float(one.value)
+                other = outcome_of(every.replace(design=study.design_with({one.path: new})), errors)
+                if int(worst(other.status)) not in SUCCESS:
+                    break
+                if all(study.requirements[key].margin(float(other.value[key])) <= 0 for key in (name, *held)):
+                    return f"{one.path} = {shown(new, one.unit)} would meet it; {shown(one.value, one.unit)} is assumed"
+                change = float(other.value[name]) / value
+                exponent = math.log(change) / math.log(ratio) if change > 0 else 0.0
     return "the limit is assumed" if name in study.assumed_limits else ""
 
 
