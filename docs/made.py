@@ -12,7 +12,7 @@ from benchmarks.tables import table
 from rvjax import levels, plotting, published
 from rvjax.levels.table import stored as measured_levels
 from rvjax.study.kinds import drive_starts
-from rvjax.units import arcsec, readable
+from rvjax.units import arcsec, readable, um
 
 
 def everything(folder: Path) -> None:
@@ -80,7 +80,7 @@ def _processes():
     heads = ["process", "flank", "positions, diametral", "throw", "holes", "offset of flanks", "clearance of holes"]
     keys = {"flank": "+-", "position": "", "throw": "+-", "hole": "+-", "flank_clearance": "", "hole_clearance": ""}
     rows = [
-        (f"`{name}`", *(sign + own[key] for key, sign in keys.items()), ", ".join(own["materials"]))
+        (f"`{name}`", *(f"{sign}{own[key] / um:g} um" for key, sign in keys.items()), ", ".join(own["materials"]))
         for name, own in drive_starts.PROCESSES.items()
     ]
     return table([*heads, "materials"], rows)

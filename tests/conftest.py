@@ -120,6 +120,17 @@ def undrawn(monkeypatch):
 
 
 @pytest.fixture
+def drawing(tmp_path, request):
+    """Write the file of a drawing, that of the module without a text; its path."""
+
+    def write(text=""):
+        (tmp_path / "drawing.toml").write_text(text or request.module.DRAWING)
+        return str(tmp_path / "drawing.toml")
+
+    return write
+
+
+@pytest.fixture
 def unsolved(monkeypatch):
     """`rvjax check` without the unit at the mid-points, ten seconds of compilation: for tests of its other lines."""
     none = lambda self, _: (dict.fromkeys(self.requirements, float("nan")), Status.CONVERGED)  # noqa: E731

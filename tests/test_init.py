@@ -36,15 +36,6 @@ def read(text, name="mine"):
     return study.parse_study(text, name=name, solve=False)
 
 
-@pytest.fixture
-def drawing(tmp_path):
-    def write(text=DRAWING):
-        (tmp_path / "drawing.toml").write_text(text)
-        return str(tmp_path / "drawing.toml")
-
-    return write
-
-
 @pytest.mark.parametrize("base", BASES)
 def test_a_study_of_every_size_is_that_of_the_loaded_reducer(base):
     new = written(base)

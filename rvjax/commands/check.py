@@ -287,7 +287,7 @@ def _data(study: Study, found: Checked) -> dict[str, object]:
             | {name: float(getattr(cost, name)) for name in ("finest", "coarsest")}
             for field, cost in study.costs.items()
         },
-        "at_mid_points": found.values,
+        "without_limit": {name: value for name, value in found.values.items() if name not in study.requirements},
         "turning": found.turning,
         "levels": {
             name: {"level": choice.level, "error": choice.bound, "unit": study.output(name).unit, "why": choice.why}

@@ -152,12 +152,13 @@ def written(base: str, model: str = "loaded", process: str = "", *, variables: b
     text = (EMBEDDED / f"{start.study}.toml").read_text("utf-8")
     numbers = {**own, **{path: item.value for path, item in more.items()}}
     rest = start.tables(text[text.index("[conditions]") :], numbers, given)
+    made = _joined(given, more, start, rest)
     if variables:
         if start.variables is None:
             raise ValueError(f"--design --base {base}: a study with variables begins with rv-40e or a drive")
-        choices, limits = start.variables(numbers)
-        rest = f"{choices}\n{rest}".replace("[run]", f"{limits}\n[run]", 1)
-    return Written(_joined(given, more, start, rest), model, given.name, _warnings(given, more))
+        choices, limits = start.variables(parse_study(made, name=given.name, solve=False).design)
+        made = made.replace("[conditions]", f"{choices}\n[conditions]", 1).replace("[run]", f"{limits}\n[run]", 1)
+    return Written(made, model, given.name, _warnings(given, more))
 
 
 def _joined(given: Known, more: Mapping[str, Assumed], start: Start, rest: str) -> str:

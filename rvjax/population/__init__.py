@@ -15,7 +15,12 @@ from rvjax.population.estimates import (
     unknown_share as unknown_share,
     wilson as wilson,
 )
-from rvjax.population.grades import GRADES as GRADES, coarsest_grade as coarsest_grade, it_width
+from rvjax.population.grades import (
+    GRADES as GRADES,
+    coarsest_grade as coarsest_grade,
+    it_width,
+    tolerance_unit as tolerance_unit,
+)
 from rvjax.population.measured import MeasuredColumn, MeasuredParts, measured
 from rvjax.population.population import (
     TURN as TURN,

@@ -61,3 +61,13 @@ def coarsest_grade(width: float, size: float) -> str:
     """
     inside = 0 < size <= 500 * mm
     return next((g for g in reversed(GRADES) if inside and it_width(g, size) <= width * (1 + 1e-9)), "")
+
+
+def tolerance_unit(diameter: Scalar) -> Scalar:
+    """Tolerance unit i of ISO 286-1, m.
+
+    Args:
+        diameter: nominal size, m.
+    """
+    size = diameter / mm
+    return um * (0.45 * size ** (1 / 3) + 0.001 * size)

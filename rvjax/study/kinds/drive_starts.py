@@ -12,9 +12,10 @@ import numpy as np
 
 from rvjax.catalogue import ASSUMED, BASES
 from rvjax.cycloidal import CycloidalReducer
+from rvjax.geometry import figures
+from rvjax.population import tolerance_unit
 from rvjax.records import PyTree
 from rvjax.study.kinds.kind import Assumed, Known, Numbers, Start
-from rvjax.study.kinds.rv_starts import tolerance_unit
 from rvjax.study.kinds.scaling import number_at
 from rvjax.study.kinds.tables import rewritten, scaled_line, stated, with_torque
 from rvjax.study.values import in_unit
@@ -61,9 +62,19 @@ HEAD = """# A study of the loaded drive to change, with the numbers of the {name
 
 """
 
-_FILE: dict[str, PyTree] = tomllib.loads((resources.files("rvjax.study") / "processes.toml").read_text("utf-8"))
-PROCESSES: dict[str, PyTree] = _FILE["process"]
-MATERIALS: dict[str, PyTree] = _FILE["material"]
+
+def _tables_of(name: str, units: dict[str, str]) -> dict[str, dict[str, PyTree]]:
+    """Tables of `processes.toml` by name, quantities in SI: lengths, and those of other units."""
+    found = tomllib.loads((resources.files("rvjax.study") / "processes.toml").read_text("utf-8"))[name]
+
+    def si(key: str, value: PyTree) -> PyTree:
+        return float(parse(value, units.get(key, "m"))) if isinstance(value, str) else value
+
+    return {row: {key: si(key, value) for key, value in table.items()} for row, table in found.items()}
+
+
+PROCESSES = _tables_of("process", {})
+MATERIALS = _tables_of("material", {"young_modulus": "Pa", "yield_strength": "Pa"})
 
 
 def process_of(given: Known) -> str:
@@ -82,7 +93,7 @@ def material_of(given: Known) -> str:
         given: the drive as its source gives it.
     """
     if MODULUS in given.numbers and not _assumed(given, MODULUS):
-        return min(MATERIALS, key=lambda name: abs(math.log(given.numbers[MODULUS] / _value(MATERIALS[name], "Pa"))))
+        return min(MATERIALS, key=lambda name: abs(math.log(given.numbers[MODULUS] / MATERIALS[name]["young_modulus"])))
     able = PROCESSES[process_of(given)]["materials"]
     own = OWN.get(given.base, ("", ""))[1]
     return own if own in able else str(able[0])
@@ -93,13 +104,16 @@ def _assumed(given: Known, path: str) -> bool:
     return path not in given.stated and bool(ASSUMED.search(given.said.get(path, "")))
 
 
-def _value(table: PyTree, unit: str, key: str = "young_modulus") -> float:
-    return float(parse(table[key], unit))
+def _donor(given: Known) -> str:
+    """The known drive that a drive begins with, else the one whose pin circle is nearest by its ratio."""
+    ring = given.numbers[RING]
+    return given.base or min(RATED, key=lambda name: abs(math.log(ring / number_at(BASES[name], RING))))
 
 
-def _nearest(numbers: Numbers) -> str:
-    """The known drive whose pin circle is nearest by its ratio."""
-    return min(RATED, key=lambda name: abs(math.log(numbers[RING] / number_at(BASES[name], RING))))
+def _outside(size: float, near: str) -> tuple[str, ...]:
+    """Line on a drive that is far smaller or larger than the known one whose numbers it has."""
+    far = f"{RING}: {size:.3g} times that of the {near}, whose numbers are scaled"
+    return () if LEAST <= size <= 1 / LEAST else (far,)
 
 
 def growth(numbers: Numbers, process: str, path: str) -> float:
@@ -123,21 +137,22 @@ def completed(given: Known, example: CycloidalReducer) -> tuple[Numbers, dict[st
         given: the drive as its source gives it.
         example: of the embedded study; not read, because the nearest known drive is closer.
     """
-    process, material, near = process_of(given), material_of(given), _nearest(given.numbers)
+    process, material, near = process_of(given), material_of(given), _donor(given)
     table, own, donor = PROCESSES[process], MATERIALS[material], BASES[near]
     size = float(given.numbers[RING] / number_at(donor, RING))
     like = f"assumed: as the {near}" + (f", for {size:.3g} times its size" if abs(size - 1) > 1e-9 else "")
     flank, hole = (growth(given.numbers, process, path) for path in (RING, "output.circle_radius"))
-    softer = own["seat"] / MATERIALS[OWN[near][1]]["seat"]
+    softer, far = own["seat"] / MATERIALS[OWN[near][1]]["seat"], _outside(size, near)
+    seat = like + (f", in {material}" if softer != 1 else "")
     found = {
         "cycloid.pin_count": Assumed(given.numbers["cycloid.disc_teeth"] + 1, "follows: one more than the lobes"),
         DISCS: Assumed(donor.cycloid.disc_count, f"assumed: as the {near}"),
-        FLANK: Assumed(flank * _value(table, "m", "flank_clearance"), f"assumed: {process}"),
-        HOLE: Assumed(hole * _value(table, "m", "hole_clearance"), f"assumed: {process}"),
-        MODULUS: Assumed(_value(own, "Pa"), f"assumed: {material}"),
+        FLANK: Assumed(flank * table["flank_clearance"], f"assumed: {process}"),
+        HOLE: Assumed(hole * table["hole_clearance"], f"assumed: {process}"),
+        MODULUS: Assumed(own["young_modulus"], f"assumed: {material}"),
         POISSON: Assumed(own["poisson_ratio"], f"assumed: {material}"),
-        SEAT: Assumed(number_at(donor, SEAT) * size**0.8 * softer, like + (f", in {material}" if softer != 1 else "")),
-        WIDTH: Assumed(number_at(donor, WIDTH) * size, like),
+        SEAT: Assumed(number_at(donor, SEAT) * size**0.8 * softer, seat, far),
+        WIDTH: Assumed(number_at(donor, WIDTH) * size, like, far),
         **{path: Assumed(number_at(donor, path), "assumed: steel") for path in PINS},
     }
     stand = {p: x for p, x in given.numbers.items() if p not in found or not _assumed(given, p)}
@@ -152,27 +167,24 @@ def rated_torque(given: Known) -> Assumed:
     Args:
         given: the drive as its source gives it.
     """
-    near, numbers = given.base or _nearest(given.numbers), given.numbers
+    near, numbers = _donor(given), given.numbers
     donor, material, usual = BASES[near], material_of(given), OWN[near][1]
     size = numbers[RING] / number_at(donor, RING)
     discs = numbers.get(DISCS, donor.cycloid.disc_count) / donor.cycloid.disc_count
     wider = numbers.get(WIDTH, number_at(donor, WIDTH) * size) / number_at(donor, WIDTH)
-    stronger = _value(MATERIALS[material], "Pa", "yield_strength") / _value(MATERIALS[usual], "Pa", "yield_strength")
+    stronger = MATERIALS[material]["yield_strength"] / MATERIALS[usual]["yield_strength"]
     ratio = float(discs * wider * size**2 * stronger**2 * _stiffness(usual) / _stiffness(material))
     if abs(ratio - 1) < 1e-9:
         return Assumed(RATED[near], "rated torque of the catalogue")
-    far = (
-        ()
-        if LEAST <= size <= 1 / LEAST
-        else (f"{RING}: {size:.3g} times that of the {near}, whose numbers are scaled",)
+    return Assumed(
+        float(f"{RATED[near] * ratio:.2g}"), f"assumed: from {RATED[near]:g} N m of the {near}", _outside(size, near)
     )
-    return Assumed(float(f"{RATED[near] * ratio:.2g}"), f"assumed: from {RATED[near]:g} N m of the {near}", far)
 
 
 def _stiffness(material: str) -> float:
     """Plane modulus of a contact with steel pins, Pa."""
     soft = (1 - MATERIALS[name]["poisson_ratio"] ** 2 for name in (material, "steel"))
-    return 1 / sum(part / _value(MATERIALS[name], "Pa") for part, name in zip(soft, (material, "steel")))
+    return 1 / sum(part / MATERIALS[name]["young_modulus"] for part, name in zip(soft, (material, "steel")))
 
 
 def free_play(numbers: Numbers, bearing: float) -> float:
@@ -203,11 +215,10 @@ def _tables(text: str, numbers: Numbers, given: Known) -> str:
     table, usual = PROCESSES[process], PROCESSES[OWN[EXAMPLE][0]]
     note = f"assumed: {process}"
     ratios = {
-        error: (_value(table, "m", key) / _value(usual, "m", key) * growth(numbers, process, path), note)
-        for error, (key, path) in SIZES.items()
+        error: (table[key] / usual[key] * growth(numbers, process, path), note) for error, (key, path) in SIZES.items()
     }
-    pressure = YIELDS * _value(MATERIALS[material], "Pa", "yield_strength")
-    backlash = FREE * free_play(numbers, _value(table, "m", "bearing") / 2)
+    pressure = YIELDS * MATERIALS[material]["yield_strength"]
+    backlash = FREE * free_play(numbers, table["bearing"] / 2)
     why = given.torque.why if given.torque and given.torque.why.startswith("assumed") else None
     strength = f"assumed: {YIELDS:g} times the yield strength of {material}"
     limits = {
@@ -218,46 +229,31 @@ def _tables(text: str, numbers: Numbers, given: Known) -> str:
 
     def line(path: tuple[str, ...], match: re.Match[str]) -> str:
         if path[0] == "requirement":
-            return stated(match, *limits[path[1]], f"initially {limits[path[1]][0]}") if path[1] in limits else match[0]
-        return (
-            with_torque(path, match, given.torque, why) if path[0] == "conditions" else scaled_line(path, match, ratios)
-        )
+            value, reason = limits.get(path[1], ("", ""))
+            return stated(match, value, reason, f"initially {value}") if value else match[0]
+        if path[0] == "conditions":
+            return with_torque(path, match, given.torque, why)
+        return scaled_line(path, match, ratios)
 
     return rewritten(text, line)
 
 
-def _variables(numbers: Numbers) -> tuple[str, str]:
+def _variables(design: CycloidalReducer) -> tuple[str, str]:
     """Tables of the numbers that `rvjax design` may choose, with their price; limits of the unit without errors."""
-    rp, rr, e, around, pin, clearance = (
-        float(numbers[path])
-        for path in (
-            RING,
-            "cycloid.pin_radius",
-            "cycloid.eccentricity",
-            "output.circle_radius",
-            "output.pin_radius",
-            HOLE,
-        )
-    )
-    hole = pin + e + clearance / 2
-    gaps = {
-        "pin_gap": 2 * (rp * math.sin(math.pi / numbers["cycloid.pin_count"]) - rr),
-        "hole_gap": 2 * (around * math.sin(math.pi / numbers["output.count"]) - hole),
-        "hole_wall": rp - rr - e - around - hole,
-    }
+    found = figures(design)
+    assert found.envelope_volume is not None  # the study has a width
     tables = ["# Numbers of the design that may change; bounds and prices are assumed", ""]
-    for path, (low, high) in VARIABLES.items():
-        number = float(numbers[path])
-        if not number:
-            continue  # no bounds in proportion
-        lower, upper = (in_unit(end, "m") for end in sorted((low * number, high * number)))
-        tables += [f'[variable."{path}"]', f'lower = "{lower}"', f'upper = "{upper}"', ""]
-    volume = math.pi * (rp + rr) ** 2 * float(numbers[WIDTH]) * numbers["cycloid.disc_count"]
+    for path, shares in VARIABLES.items():
+        if number := float(number_at(design, path)):  # 0 has no bounds in proportion
+            lower, upper = (in_unit(end, "m") for end in sorted(share * number for share in shares))
+            tables += [f'[variable."{path}"]', f'lower = "{lower}"', f'upper = "{upper}"', ""]
+    volume = in_unit(float(found.envelope_volume), "m3", 2)
     tables += ["[objective] # price of the space, in the unit of the costs"]
-    tables += [f'envelope_volume = {{price = {PRICE:g}, per = "{in_unit(volume, "m3", 2)}"}}', ""]
+    tables += [f'envelope_volume = {{price = {PRICE:g}, per = "{volume}"}}', ""]
     limits = ["# Limits of the unit without errors, assumed: 3/4 of the value at the start", ""]
-    for name, value in gaps.items():
-        limits += [f"[requirement.{name}]", f'nominal_lower = "{in_unit(0.75 * value, "m", 3)}"', ""]
+    for name in ("pin_gap", "hole_gap", "hole_wall"):
+        value = in_unit(0.75 * float(getattr(found, name)), "m", 3)
+        limits += [f"[requirement.{name}]", f'nominal_lower = "{value}"', ""]
     return "\n".join(tables), "\n".join(limits)
 
 

@@ -102,7 +102,7 @@ class Start:
             numbers that the source lacks, by path).
         tables: (text of the tables after [design], all numbers, reducer) -> this text for the reducer.
         unread: numbers -> comment on what the model does not read of a reducer that contradicts itself.
-        variables: numbers -> tables of the numbers that `rvjax design` may choose, and of limits without errors; None:
+        variables: design -> tables of the numbers that `rvjax design` may choose, and of limits without errors; None:
             not for this kind.
     """
 
@@ -112,7 +112,7 @@ class Start:
     complete: Callable[[Known, Any], tuple[Numbers, Mapping[str, Assumed]]] = _as_given
     tables: Callable[[str, Numbers, Known], str] = _first
     unread: Callable[[Numbers], str] = _no_text
-    variables: Callable[[Numbers], tuple[str, str]] | None = None
+    variables: Callable[[Any], tuple[str, str]] | None = None
 
 
 @dataclass(frozen=True)

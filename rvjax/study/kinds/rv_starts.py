@@ -15,7 +15,7 @@ from rvjax.bearings import RollingBearing
 from rvjax.catalogue import ASSUMED, RV_40E_WHOLE, fields_of_kind, part_class, shown
 from rvjax.designs import Bearings, InvoluteStage, RVReducer
 from rvjax.life import static_rating
-from rvjax.population import it_width
+from rvjax.population import it_width, tolerance_unit
 from rvjax.records import PyTree, Scalar
 from rvjax.study.kinds.kind import Assumed, Known, Numbers, Start
 from rvjax.study.kinds.rv_facts import AXIAL, FOLLOWING, KNOWN_REDUCERS, LAWS, NAMES, RATED, SIZES
@@ -191,16 +191,6 @@ def rated_torque(given: Known) -> Assumed:
     ratio = ring / donor.cycloid.pin_circle_radius
     value = RATED[name] * ratio ** law.follows[RING]
     return Assumed(float(f"{value:.3g}"), *_reason(law, donor, target, name))
-
-
-def tolerance_unit(diameter: Scalar) -> Scalar:
-    """Tolerance unit i of ISO 286-1, m.
-
-    Args:
-        diameter: nominal size, m.
-    """
-    size = diameter / mm
-    return 1e-6 * (0.45 * size ** (1 / 3) + 0.001 * size)
 
 
 def tolerance_ratios(numbers: Numbers) -> dict[str, tuple[float, str]]:
