@@ -123,8 +123,8 @@ def undrawn(monkeypatch):
 def drawing(tmp_path, request):
     """Write the file of a drawing, that of the module without a text; its path."""
 
-    def write(text=""):
-        (tmp_path / "drawing.toml").write_text(text or request.module.DRAWING)
+    def write(text=None):
+        (tmp_path / "drawing.toml").write_text(request.module.DRAWING if text is None else text)
         return str(tmp_path / "drawing.toml")
 
     return write
