@@ -120,6 +120,14 @@ def test_numbers_of_a_drawing_stand(drawing):
     assert read(written(drawing(more)).text).design.friction.output_pins == 0.04
 
 
+SCALED = (
+    'contact.face_width = "20 mm"\n',
+    'stiffness.eccentric_bearing = "300 N/um"\n',
+    '[conditions]\nrated_torque = "900 N m"\n',
+)
+"""Numbers of a drawing that `init` scales by the size."""
+
+
 def test_torque_follows_discs_and_width_of_a_drawing(drawing):
     """In proportion to both; the ring as output turns less than the carrier by zc/zp (Eq. 4), and so does backlash."""
     usual = read(written(drawing()).text)
@@ -130,8 +138,11 @@ def test_torque_follows_discs_and_width_of_a_drawing(drawing):
     numbers = {path: value for path, value, _ in catalogue.walk(usual.design)}
     ring = drive_starts.free_play(numbers | {"member": "ring"}, 5 * um)
     assert ring == pytest.approx(19 / 20 * drive_starts.free_play(numbers, 5 * um), rel=1e-12)
-    (line,) = written(drawing(DRAWING.replace('"40 mm"', '"120 mm"'))).warnings
-    assert line.startswith("cycloid.pin_circle_radius: 2.29 times that of the cycloidal-29")
+    far = DRAWING.replace('"40 mm"', '"120 mm"')
+    width, seat, torque = SCALED
+    for given in ((), (width, seat), (width, torque), (seat, torque)):  # then the third alone is scaled
+        (line,) = written(drawing(far + "".join(given))).warnings
+        assert line.startswith("cycloid.pin_circle_radius: 2.29 times that of the cycloidal-29")
 
 
 @pytest.mark.parametrize(
@@ -169,6 +180,9 @@ def test_clearances_alone_give_the_backlash_of_the_solved_drive():
         numbers |= small | {"cycloid.equidistant_modification": flank * um, "output.hole_clearance": 2 * hole * um}
         found = drive_starts.free_play(numbers, bearing * um) / arcmin
         assert 0.99 * due < found < 1.07 * due, (flank, bearing, hole)  # its angle is the worst, the scan has one
+    numbers |= {"cycloid.equidistant_modification": 10 * um, "output.hole_clearance": 0.0}
+    straight, aside = 2 * 10e-3 / (1.3 * 17), 10e-3 / (32.9 * np.sqrt(3) / 2)  # flank = bearing: A cos x + B sin x
+    assert drive_starts.free_play(numbers, 10 * um) == pytest.approx(2 * np.hypot(straight, aside), rel=1e-4)
 
 
 def test_the_recommended_clearances_shift_every_fit_by_the_same():
@@ -198,7 +212,7 @@ def test_the_share_that_jams_and_the_clearances_with_which_99_percent_turn():
 def test_the_assumed_number_that_would_meet_a_limit(monkeypatch):
     """A line contact: pressure ~ width^(-1/2), so that 1.2 times the limit takes 1.44 times the width, and some more.
 
-    A number that the study gives, one that is too far, and one that breaks a limit which is met are no remedies.
+    A modulus, a number that the study gives, one too far, and one that breaks a limit which is met are no remedies.
     """
     made = read(written("cycloidal-17").text)
     width = next(number for number in made.numbers if number.path == "contact.face_width")
@@ -212,8 +226,9 @@ def test_the_assumed_number_that_would_meet_a_limit(monkeypatch):
         replace = staticmethod(lambda design: Fake(design=design))
 
     def solved(response, errors):
-        size = response.design.contact.face_width
-        return SimpleNamespace(value={"p": 1.2e8 * (6.35e-3 / size) ** 0.5, "w": size}, status=0)
+        contact = response.design.contact
+        pressure = 1.2e8 * (6.35e-3 / contact.face_width * contact.young_modulus / 69e9) ** 0.5
+        return SimpleNamespace(value={"p": pressure, "w": contact.face_width}, status=0)
 
     monkeypatch.setattr(study.Study, "response_of", lambda self, name: Fake())
     monkeypatch.setattr(study.Study, "response", lambda self, *, solve: Fake())
