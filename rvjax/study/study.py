@@ -320,7 +320,7 @@ class Study:
         for name in self.requirements:
             if SPAN in known[name].meaning and (span := self._span(name)) not in ("", WHOLE):
                 spans.setdefault(span, []).append(name)
-        return said + [f"the rest of a turn: only {span} for {', '.join(names)}" for span, names in spans.items()]
+        return said + [f"more than {span} (for {', '.join(names)})" for span, names in spans.items()]
 
     def _span(self, name: str) -> str:
         """Part of a turn of the output over which a response is read; "" for a response of no curve."""
