@@ -16,7 +16,6 @@ from rvjax.study.design import (
     given_numbers as given_numbers,
     given_paths as given_paths,
     is_assumed as is_assumed,
-    is_replaced as is_replaced,
 )
 from rvjax.study.identification import NUISANCES, field_unit, part_orders as part_orders
 from rvjax.study.kinds import (
@@ -58,6 +57,7 @@ from rvjax.study.values import (
     choice,
     in_unit as in_unit,
     integer,
+    is_replaced as is_replaced,
     known,
     naming,
     quantities as quantities,

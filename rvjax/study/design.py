@@ -20,7 +20,7 @@ from rvjax.outputs import Output
 from rvjax.records import Design, PyTree, Record
 from rvjax.study.kinds import kind_of, number_at
 from rvjax.study.tolerances import Form, stated_by
-from rvjax.study.values import Metadata, Toml, choice, field_value, known, naming_field
+from rvjax.study.values import Metadata, Toml, choice, field_value, is_replaced, known, naming_field
 from rvjax.tolerances import Cost, Limits, Middle, Tolerance
 from rvjax.units import with_unit
 
@@ -188,40 +188,6 @@ def comments(text: str, table: str = "design") -> dict[str, str]:
 def is_assumed(text: str) -> bool:
     """True if a comment marks a value as not published."""
     return bool(catalogue.ASSUMED.search(text))
-
-
-INITIALLY = re.compile(r"\binitially ([^;#]+)")  # in the comment of an assumed value: the value
-
-
-def is_initial(text: object, note: str) -> bool:
-    """True if a comment gives no assumed value, or the one that the file has.
-
-    Args:
-        text: as the file has it.
-        note: its comment.
-    """
-    given = INITIALLY.search(note)
-    return given is None or given[1].strip() == text
-
-
-def is_replaced(value: PyTree, about: Metadata, note: str) -> bool:
-    """True if a comment gives the assumed value, and the number is another one: the user has replaced it.
-
-    Args:
-        value: of the number, SI.
-        about: metadata of its field.
-        note: its comment.
-    """
-    given = INITIALLY.search(note)
-    if given is None:
-        return False
-    text: object = given[1].strip()
-    try:
-        if about["unit"] == "-":
-            text = int(given[1]) if about["kind"] == "count" else float(given[1])
-        return not np.isclose(field_value(text, about, ""), value, rtol=1e-9, atol=0)
-    except ValueError:  # words of the user
-        return False
 
 
 def _same(value: PyTree, other: Design) -> bool:

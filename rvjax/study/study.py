@@ -22,7 +22,6 @@ from rvjax.study.design import (
     doubts,
     given_paths,
     is_assumed,
-    is_initial,
 )
 from rvjax.study.goals import Price
 from rvjax.study.identification import Identification
@@ -31,6 +30,7 @@ from rvjax.study.response import DesignResponse, Response, check_nominal, follow
 from rvjax.study.tolerances import Form, forms, mid_points
 from rvjax.study.values import (
     StudyError as StudyError,  # other modules take it from here
+    is_initial,
     naming,
     tables_of,
 )

@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from rvjax.base.words import UnknownWord, choose, unknown
 from rvjax.catalogue import shown
 from rvjax.records import PyTree
@@ -248,3 +250,37 @@ def in_unit(value: float, unit: str, digits: int = 4) -> str:
     """
     name = unit if unit == "N m/rad" else shown(value, unit).split(" ", 1)[1]
     return f"{float(f'{value / KNOWN.get(unit, {}).get(name, 1.0):.{digits}g}'):.12g} {name}"
+
+
+INITIALLY = re.compile(r"\binitially ([^;#]+)")  # in the comment of an assumed value: the value
+
+
+def is_initial(text: object, note: str) -> bool:
+    """True if a comment gives no assumed value, or the one that the file has.
+
+    Args:
+        text: as the file has it.
+        note: its comment.
+    """
+    given = INITIALLY.search(note)
+    return given is None or given[1].strip() == text
+
+
+def is_replaced(value: PyTree, about: Metadata, note: str) -> bool:
+    """True if a comment gives the assumed value, and the number is another one: the user has replaced it.
+
+    Args:
+        value: of the number, SI.
+        about: metadata of its field.
+        note: its comment.
+    """
+    given = INITIALLY.search(note)
+    if given is None:
+        return False
+    text: object = given[1].strip()
+    try:
+        if about["unit"] == "-":
+            text = int(given[1]) if about["kind"] == "count" else float(given[1])
+        return not np.isclose(field_value(text, about, ""), value, rtol=1e-9, atol=0)
+    except ValueError:  # words of the user
+        return False
