@@ -11,6 +11,7 @@ import tomllib
 from importlib import resources
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from rvjax import RVErrors, catalogue, cli, designs, lost_motion, study
@@ -234,7 +235,7 @@ def test_what_is_assumed_is_named_until_it_is_given():
     kinematic = study.KINDS[designs.RVReducer].starts["four-bar"].parts
     due = [name for name in catalogue.assumed("rv-80e") if name.split(".")[0] in kinematic]
     assert sorted(marked) == sorted(due + modified)  # the file marks them
-    inputs = SimpleNamespace(study=asked(DESIGN, DESIGN), picture=None, source="")
+    inputs = SimpleNamespace(study=asked(DESIGN, DESIGN), picture=None, turn=False, source="")
     text = check.report(inputs, check.compute(inputs)).text()
     assumed = next(line for line in text.splitlines() if line.startswith("Assumed"))
     assert all(f" {name}" in assumed for name in ("involute.pressure_angle", "cycloid.disc_count"))
@@ -309,3 +310,26 @@ def test_what_may_move_and_what_half_of_the_units_may_miss():
     }
     assert lines(dataclasses.replace(plain, requirements=need)) == []
     assert lines(plain, Status.UNDERCUT)[0].startswith("the unit at the mid-points cannot be solved: UNDERCUT")
+
+
+def test_turn_measures_units_over_a_whole_turn_of_the_output(monkeypatch):
+    """Ratios of both pressures by the conditions; not of a lower limit, nor of a unit that fails."""
+    units, asked_for = check.TURNED, []
+    found = {12: [1.0] * units, 4 * 12 * 18 + 1: [1.5] * (units - 2) + [3.0, math.nan]}
+
+    def measured(response, population, key, start, *, count):
+        asked_for.append((response.outputs, response.conditions.span, response.conditions.samples, count))
+        return {name: np.asarray(found[response.conditions.samples]) for name in response.outputs}, None
+
+    study_of = study.load("cycloidal-17", solve=False)
+    monkeypatch.setattr(check, "respond_units", measured)
+    larger = check._over_a_turn(study_of)
+    names = ("turn_pin_pressure", "hole_pressure")
+    assert asked_for == [(names, "crank_turn", 12, units), (names, "output_turn", 865, units)]
+    assert larger == {name: [1.5] * (units - 2) + [3.0] for name in names}
+    text = check._larger_text(study_of, larger)
+    assert text.startswith(
+        "Over a turn of the output, at 865 angles, 8 units have on average turn_pin_pressure 1.71 times"
+    )
+    assert "hole_pressure 1.71 times (largest 3) the value." in text
+    assert check._over_a_turn(study.load("rv-40e", solve=False)) == {} and check._larger_text(study_of, {}) == ""

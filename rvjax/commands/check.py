@@ -11,16 +11,18 @@ import numpy as np
 
 from rvjax import models, study
 from rvjax.base.progress import begin
-from rvjax.commands import READING, Inputs, option, study_argument
+from rvjax.commands import READING, Inputs, option, study_argument, switch
 from rvjax.commands.cells import assumed_text, condition_text, limit_text, limits_data, limits_of
 from rvjax.commands.forecast import choices, doubts_of_unit, expected, level_lines, missed_at_mid_points
 from rvjax.levels import Choice
 from rvjax.outputs import Output
 from rvjax.population import Population, root_key
+from rvjax.records import PyTree
 from rvjax.render import Figure, Limits, Note, Number, Report, Table, Text
 from rvjax.response import respond_units
 from rvjax.status import SUCCESS, Status, worst
 from rvjax.study import KINDS, Response, Study, facts_of, kind_of, mid_points, number_at, numbers, outcome_of, shown
+from rvjax.study.span import over_a_turn
 from rvjax.units import with_unit
 
 
@@ -32,6 +34,7 @@ class CheckInputs(Inputs):
     examples:
       rvjax check mine.toml
       rvjax check mine.toml --picture mine.png
+      rvjax check mine.toml --turn
 
     Impossible values (overlapping pins, a negative clearance) are bad input, exit code 2. Values far from all known
     reducers give a line that begins with "warning", exit code 0.
@@ -39,6 +42,10 @@ class CheckInputs(Inputs):
 
     source: str = study_argument(": rv-40e-whole (default), rv-40e, corr", default="rv-40e-whole")
     picture: Path | None = option("draw the reducer to scale (default: none)", "FILE.png", type=Path, ends=".png")
+    turn: bool = switch(
+        "measure eight units over a whole turn of the output at four times the angles: how much larger are the "
+        "values that are limited along a span?"
+    )
 
     def __post_init__(self) -> None:
         """Read the study; a drawing needs a kind of reducer that has one."""
@@ -60,6 +67,7 @@ class Checked:
         status: of this unit.
         turning: lines on the share that jams; of drives.
         remedies: text on an assumed number, by limit that this unit misses.
+        larger: values over a whole turn over those of the study, of some units, by response; empty unless measured.
     """
 
     facts: list[tuple[str, str]]
@@ -69,9 +77,11 @@ class Checked:
     status: Status
     turning: list[str]
     remedies: dict[str, str]
+    larger: dict[str, list[float]]
 
 
-SOLVING = "unit at the mid-points"
+SOLVING, TURNING = "unit at the mid-points", "a turn of the output"
+TURNED, FINER = 8, 4  # units over a whole turn; their angles over those of the study
 FIT, TRIED = "fit_clearance", 1024  # output below which a unit jams; units for its share
 
 
@@ -81,7 +91,7 @@ def phases(inputs: CheckInputs) -> tuple[str, ...]:
     Args:
         inputs: what is computed.
     """
-    return READING, SOLVING
+    return READING, SOLVING, *([TURNING] if inputs.turn else [])
 
 
 def compute(inputs: CheckInputs) -> Checked:
@@ -94,7 +104,42 @@ def compute(inputs: CheckInputs) -> Checked:
     facts, turning = list(facts_of(study.design)), _turning(study)
     missed = missed_at_mid_points(study, values) if status in SUCCESS else {}
     remedies = {name: text for name in missed if (text := _remedy(study, name, values))}
-    return Checked(facts, _magnitudes(study), choices(study), values, status, turning, remedies)
+    if inputs.turn:
+        begin(TURNING)
+    larger = _over_a_turn(study) if inputs.turn else {}
+    return Checked(facts, _magnitudes(study), choices(study), values, status, turning, remedies, larger)
+
+
+def _over_a_turn(study: Study) -> dict[str, list[float]]:
+    """Largest values over a whole turn, at finer angles, over those of the study: of random units, by response."""
+    names = [name for name in study.spans if math.isinf(study.requirements[name].lower)]
+    if not names:
+        return {}
+    found = []
+    for conditions in (study.conditions, _finer(study)):
+        response = Response.of(study.design, names, conditions)
+        values, _ = respond_units(response, Population.of(study.tolerances), root_key(study.seed), 0, count=TURNED)
+        found.append({name: np.asarray(values[name]) for name in names})
+    own, whole = found
+    positive = {name: (own[name] > 0) & np.isfinite(whole[name]) for name in names}
+    return {name: (whole[name][good] / own[name][good]).tolist() for name, good in positive.items()}
+
+
+def _finer(study: Study) -> PyTree:
+    """Conditions of a whole turn at more angles."""
+    return over_a_turn(study.design, study.conditions, next(iter(study.spans)), FINER)
+
+
+def _larger_text(study: Study, larger: Mapping[str, list[float]]) -> str:
+    """Text on the values over a whole turn; "" where none was measured."""
+    if not larger:
+        return ""
+    ratios = ((name, np.asarray(row)) for name, row in larger.items() if row)
+    said = [f"{name} {row.mean():.3g} times (largest {row.max():.3g})" for name, row in ratios]
+    angles = _finer(study).samples
+    return (
+        f"Over a turn of the output, at {angles:,} angles, {TURNED} units have on average {', '.join(said)} the value."
+    )
 
 
 def _turning(study: Study) -> list[str]:
@@ -177,7 +222,7 @@ def _content(study: Study, found: Checked, source: str) -> list[Note | Table]:
         magnitudes,
         tolerances,
         *([requirements] if study.requirements else []),
-        Note("\n".join(found.turning)),
+        Note("\n".join(filter(None, [*found.turning, _larger_text(study, found.larger)]))),
         *([costs] if study.costs else []),
         Note("\n".join(["How it will be computed:", *how])),
         *([Note(f"Assumed (not published): {assumed_text(study)}")] if study.assumed else []),
@@ -289,6 +334,7 @@ def _data(study: Study, found: Checked) -> dict[str, object]:
         },
         "without_limit": {name: value for name, value in found.values.items() if name not in study.requirements},
         "turning": found.turning,
+        "over_a_turn": found.larger,
         "levels": {
             name: {"level": choice.level, "error": choice.bound, "unit": study.output(name).unit, "why": choice.why}
             for name, choice in found.levels.items()

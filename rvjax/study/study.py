@@ -27,6 +27,7 @@ from rvjax.study.goals import Price
 from rvjax.study.identification import Identification
 from rvjax.study.kinds import changed, kind_of
 from rvjax.study.response import DesignResponse, Response, check_nominal, followed_bounds, outcome_of
+from rvjax.study.span import SPAN, WHOLE, span_of, spans_of
 from rvjax.study.tolerances import Form, forms, mid_points
 from rvjax.study.values import (
     StudyError as StudyError,  # other modules take it from here
@@ -35,8 +36,6 @@ from rvjax.study.values import (
     tables_of,
 )
 from rvjax.tolerances import Cost, Limits, Middle, Nominal, QuadraticLoss, Variable
-
-SPAN, WHOLE = "the span", "a turn of the output"  # in the meaning of an output; the longest span
 
 
 @dataclass(frozen=True)
@@ -315,30 +314,27 @@ class Study:
             lines.setdefault(described[name].unknown, []).append(name)
         lines.pop("", None)
         said = [f"{line} (for {', '.join(names)})" if len(lines) > 1 else line for line, names in lines.items()]
-        known = models.kind(self.design).outputs
-        spans: dict[str, list[str]] = {}
-        for name in self.requirements:
-            if SPAN in known[name].meaning and (span := self._span(name)) not in ("", WHOLE):
-                spans.setdefault(span, []).append(name)
-        return said + [f"more than {span} (for {', '.join(names)})" for span, names in spans.items()]
+        parts: dict[str, list[str]] = {}
+        for name, span in self.spans.items():
+            if span != WHOLE:
+                parts.setdefault(span, []).append(name)
+        return said + [f"more than {span} (for {', '.join(names)})" for span, names in parts.items()]
 
-    def _span(self, name: str) -> str:
-        """Part of a turn of the output over which a response is read; "" for a response of no curve."""
-        curve = models.kind(self.design).described[name].curve
-        if curve is None or curve.turns is None:
-            return ""
-        turns = curve.turns(self.design, self.conditions)
-        return WHOLE if turns == 1 else f"{360 * turns:.3g} deg of the output"
+    @property
+    def spans(self) -> dict[str, str]:
+        """Part of a turn of the output in words, by limited response whose value is read along it."""
+        return spans_of(self.design, self.conditions, self.requirements)
 
     @property
     def curve(self) -> Curve | None:
         """Curve for plots, or None."""
         found = models.kind(self.design).curve(tuple(self.requirements))
         name = next((name for name in self.requirements if models.kind(self.design).described[name].curve == found), "")
-        return found and dataclasses.replace(found, title=found.title.replace(SPAN, self._span(name) or SPAN))
+        span = span_of(self.design, self.conditions, name) if found else ""
+        return found and dataclasses.replace(found, title=found.title.replace(SPAN, span or SPAN))
 
     def output(self, name: str) -> Output:
         """Output of a response, shown in the measurement unit of its limit, with its span in words."""
         output = models.kind(self.design).outputs[name]
-        meaning = output.meaning.replace(SPAN, self._span(name) or SPAN)
+        meaning = output.meaning.replace(SPAN, span_of(self.design, self.conditions, name) or SPAN)
         return dataclasses.replace(output, read_in=self.read_in.get(name, output.read_in), meaning=meaning)

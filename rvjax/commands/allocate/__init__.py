@@ -196,8 +196,8 @@ class AllocateInputs(Inputs):
     results: str | None = results_option("STUDY")
     fresh: bool = switch("recompute; the new result replaces the stored one of this study")
     no_whole: bool = switch(
-        "do not measure the result of a four-bar or lost-motion study on the whole reducer, nor what a loaded "
-        "study does not limit"
+        "do not measure the result of a four-bar or lost-motion study on the whole reducer, nor that of a loaded "
+        "study over a whole turn of the output and what it does not limit"
     )
     quiet: bool = quiet_option()
 

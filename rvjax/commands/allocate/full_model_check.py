@@ -1,7 +1,8 @@
-"""Units on the whole reducer: the limits of a four-bar or lost-motion study, and what a loaded study does not limit.
+"""Units where a study does not look: the whole reducer, a whole turn of the output, and what is not limited.
 
 A few hundred units are solved by the loaded model. What a loaded study does not limit is compared with usual limits.
-For another study the share of units that meet its limits there is one line, with the interval of Wilson.
+One line has the share of units that meet the limits of a four-bar or lost-motion study on the whole reducer, or those
+of a loaded study over a turn of the output where it follows a part of it; with the interval of Wilson.
 """
 
 import dataclasses
@@ -19,6 +20,7 @@ from rvjax.population import Estimate, Population, wilson
 from rvjax.render import Cell, Interval, Number, Quantity, Table, Text, Titled
 from rvjax.response import parts
 from rvjax.study import Response, Study
+from rvjax.study.span import WHOLE, over_a_turn
 from rvjax.tolerances import Requirement, monte_carlo
 from rvjax.units import with_unit
 
@@ -117,7 +119,7 @@ def unlimited(study: Study, tolerances: object) -> dict[str, Unlimited]:
 
 @dataclass(frozen=True)
 class Whole:
-    """Units of a study on the whole reducer.
+    """Units of a study on the whole reducer, or over a whole turn of its output.
 
     Attributes:
         share: of the units that meet all limits there.
@@ -127,6 +129,8 @@ class Whole:
         output: {requirement: output of the loaded model in its place}.
         failed: units that cannot be solved; they do not meet the limits.
         unread: errors with a tolerance that the loaded model does not read.
+        angles: of a turn of the output; 0 where the study has its own.
+        beyond: {requirement: distance from its limit that its target share of the units keeps, SI}, over a turn.
     """
 
     share: Estimate
@@ -136,36 +140,44 @@ class Whole:
     output: Mapping[str, str]
     failed: int
     unread: tuple[str, ...]
+    angles: int = 0
+    beyond: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
 
 def counterparts(study: Study) -> dict[str, str]:
-    """Outputs of the whole reducer, by requirement; empty where the study has none or its design lacks parts."""
+    """Outputs of the whole reducer or turn, by requirement; empty where there is none or the design lacks parts."""
+    if study.costly:
+        return {name: name for name, span in study.spans.items() if span != WHOLE}
     design, outputs = study.design, models.kind(study.design).outputs
     found = {n: outputs[n].exact or n for n, item in study.requirements.items() if item.limits_values}
     lacks = any(getattr(design, part, None) is None for part in ("stiffness", "contact"))
-    if study.costly or lacks or not getattr(study.conditions, "output_torque", 0.0) or found == {n: n for n in found}:
+    if lacks or not getattr(study.conditions, "output_torque", 0.0) or found == {n: n for n in found}:
         return {}
     return found
 
 
 def whole(study: Study, tolerances: object) -> Whole | None:
-    """Measure the units of some tolerances on the whole reducer; None where nothing of the study is measured there.
+    """Measure the units of some tolerances on the whole reducer or turn; None where nothing is measured there.
 
     Args:
-        study: with requirements of the four-bar or lost-motion model.
+        study: with requirements of the four-bar or lost-motion model, or over a part of a turn.
         tolerances: of the units.
     """
     outputs = counterparts(study)
     if not outputs:
         return None
     given = study.conditions
-    rated = given.output_torque if given.rated_torque is None else given.rated_torque
-    conditions = dataclasses.replace(given, rated_torque=rated, **ANGLES)
+    if study.costly:
+        conditions = over_a_turn(study.design, given, next(iter(outputs)))
+    else:
+        rated = given.output_torque if given.rated_torque is None else given.rated_torque
+        conditions = dataclasses.replace(given, rated_torque=rated, **ANGLES)
     response = Response.of(study.design, tuple(dict.fromkeys(outputs.values())), conditions)
     found = monte_carlo(response, tolerances, samples=UNITS, seed=study.seed + SEED, chunk=UNITS, keep=True)
     values = {name: np.asarray(found.values[output]) for name, output in outputs.items()}
+    margins = {name: np.asarray(study.requirements[name].margin(row)) for name, row in values.items()}
     solved = np.all([np.isfinite(row) for row in values.values()], axis=0)
-    within = {name: solved & (np.asarray(study.requirements[name].margin(row)) <= 0) for name, row in values.items()}
+    within = {name: solved & (row <= 0) for name, row in margins.items()}
     return Whole(
         share=wilson(int(np.all(list(within.values()), axis=0).sum()), UNITS, CONFIDENCE),
         units=UNITS,
@@ -174,11 +186,24 @@ def whole(study: Study, tolerances: object) -> Whole | None:
         output=outputs,
         failed=int((~solved).sum()),
         unread=tuple(name for name in Population.of(tolerances).active if name in described(tolerances, "bounds")),
+        angles=conditions.samples if study.costly else 0,
+        beyond=_beyond(study, margins) if study.costly else {},
     )
 
 
+def _beyond(study: Study, margins: Mapping[str, np.ndarray]) -> dict[str, float]:
+    """Distance beyond the limit of a share that this share of the units keeps, where chance does not explain it."""
+    found = {}
+    for name, row in margins.items():
+        item = study.requirements[name]
+        if isinstance(item, Requirement) and wilson(int((row <= 0).sum()), UNITS, CONFIDENCE).upper < item.target:
+            row = np.where(np.isnan(row), np.inf, row)
+            found[name] = float(np.quantile(row, item.target, method="higher"))
+    return {name: margin for name, margin in found.items() if math.isfinite(margin)}
+
+
 def whole_text(found: Whole, study: Study) -> str:
-    """One line on the units of a four-bar or lost-motion study on the whole reducer.
+    """One line on the units of a study on the whole reducer, or over a turn of the output.
 
     Args:
         found: what was measured.
@@ -188,13 +213,32 @@ def whole_text(found: Whole, study: Study) -> str:
     for name, output in found.output.items():
         unit, size = study.output(name).shown
         mean = f", mean {with_unit(found.mean[name] / size, unit, '.3g')}" if output != name else ""
-        said.append(f"{output} {100 * found.within[name]:.3g} % within the limit{mean}")
+        said.append(f"{output} {100 * found.within[name]:.3g} % within the limit{mean}{_moved(found, study, name)}")
     known = "errors without a tolerance" + "".join(f", {name} (it has no place)" for name in found.unread)
     failed = f"; {found.failed} failed" if found.failed else ""
+    if found.angles:
+        over = f"Over a turn of the output, at {found.angles:,} angles,"
+        those = "all these limits" if len(found.output) > 1 else "this limit"
+        told = f"{over} {share(found.share).text()} of the units meet {those}."
+        return f"{told} Of {found.units} other units: {'; '.join(said)}{failed}."
     return (
         f"On the whole reducer {share(found.share).text()} of these units meet all limits. Of {found.units} solved "
         f"units: {'; '.join(said)}{failed}. Not included: {known}."
     )
+
+
+def _moved(found: Whole, study: Study, name: str) -> str:
+    """Text on the limit that a target share of the units keeps over a turn, and that of the span which would do."""
+    limits, missing = study.requirements[name], found.beyond.get(name)
+    if missing is None or not isinstance(limits, Requirement):
+        return ""
+    output, goal = study.output(name), f"{100 * limits.target:g} %"
+    kept, needed = (
+        limit_text(dataclasses.replace(limits, lower=limits.lower - by, upper=limits.upper + by), output)
+        for by in (missing, -missing)
+    )
+    wanted = f"about {goal} keep {limit_text(limits, output)} over a turn"
+    return f", {goal} {kept} (with a limit {needed} over {study.spans[name]}, {wanted})"
 
 
 def unlimited_texts(found: Mapping[str, Unlimited], study: Study) -> list[str]:
