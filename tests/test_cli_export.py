@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 import rvjax
-from rvjax import cli, running, study
+from rvjax import cli, loaded, measured, running, study
 from rvjax.commands import export
-from rvjax.status import SolveInfo
+from rvjax.commands.export import joint
+from rvjax.status import SolveInfo, Status
 from rvjax.units import arcmin
 
 STUDY = """
@@ -80,6 +81,12 @@ def folder(tmp_path, monkeypatch):
         (["drive.toml", "a.xml"], "design.inertia is missing: mjcf needs both inertias; give --input-inertia"),
         (["drive.toml", "a.mo", *INERTIAS[:2]], "modelica needs both inertias; give --output-inertia"),
         (["drive.toml", "a.xml", *INERTIAS[:3], "0 kg m2"], "--output-inertia = '0 kg m2': must be positive"),
+        (["drive.toml", "a.json", "--curve", "there.csv"], "there.csv: exists already; name a new file"),
+        (["drive.toml", "a.json", "--curve", "no/a.csv"], "no/a.csv: there is no such folder"),
+        (["drive.toml", "a.json", "--curve", "a.txt"], "--curve a.txt: must end with .csv"),
+        (["drive.toml", "a.csv", "--as", "json", "--curve", "a.csv"], "--curve a.csv: must be another file"),
+        (["drive.toml", "a.json", "--curve", "a.csv", "--unit", "p99"], "--curve a.csv: --unit p99 is no single unit"),
+        (["drive.toml", "a.svg", "--curve", "a.csv"], "--curve: a.svg is an outline, which has no such option"),
         (["drive.toml", "a.json", "--samples", "9"], "--samples 9: needs --unit median or p99"),
         (["drive.toml", "a.json", "--unit", "mean"], "--unit mean: must be nominal, median, p99, or a .toml file"),
         (["drive.toml", "a.json", "--unit", "no.toml"], "--unit no.toml: no such file"),
@@ -205,6 +212,34 @@ def test_a_measured_unit_with_the_options(folder, monkeypatch, capsys):
     assert float(rotor.get("armature")) == pytest.approx(1e-5 * 17**2)
     assert float(root.find("worldbody/body[@name='output']/joint").get("armature")) == 2e-3
     assert "unit: unit.toml" in text[: text.index("-->")]
+
+
+def test_the_curve_is_that_of_the_unit_and_is_read_back(folder, monkeypatch, capsys):
+    """Of a joint model and an error that are given: the arguments are those of the joint model, at 24 angles a turn."""
+    seen, wave = [], 1e-4 * np.cos(2 * np.pi * 3 * np.arange(24 * 18) / (24 * 18))
+    numbers = {name: np.float64(1) for name in running.units(running.Joint)}
+    status = [0]
+
+    def revolution(design, errors, **ways):
+        seen.append((float(errors.pin_radius), float(errors.ring_pin_friction), ways))
+        return SimpleNamespace(error=wave, info=SimpleNamespace(status=status[0]))
+
+    monkeypatch.setattr(joint, "_of_unit", lambda *_: running.Joint(**numbers, info=SolveInfo(0, 1, 0.0)))
+    monkeypatch.setattr(loaded, "revolution", revolution)
+    (folder / "unit.toml").write_text(UNIT.format(places=[[["1 um", "0 m"]] * 6] * 2))
+    command = ["export", "drive.toml", "a.json", "--unit", "unit.toml", "--curve", "a.csv", "--rated-torque", "4 N m"]
+    assert cli.main(command) == 0
+    ways = dict(output_torque=4.0, turns=1.0, samples=24 * 18, contact="hertz", carrier="fixed", sun="fixed")
+    assert seen == [(2e-6, 0.4, ways)] and "a.csv: transmission error over a turn of the output under 4 N m" in (
+        capsys.readouterr().out
+    )
+    (run,) = measured.read([folder / "a.csv"]).runs
+    np.testing.assert_allclose(run.error, wave, atol=1e-15)
+    np.testing.assert_allclose(run.angle, 2 * np.pi * np.arange(24 * 18) / (24 * 18), atol=1e-12)
+    assert run.at.torque == 4
+    status[0] = int(Status.UNDERCUT)
+    assert cli.main(["export", "drive.toml", "b.json", "--curve", "b.csv"]) == 2
+    assert "--curve: cannot be solved: UNDERCUT" in capsys.readouterr().err and not (folder / "b.json").exists()
 
 
 @pytest.fixture

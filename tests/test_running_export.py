@@ -68,7 +68,7 @@ def test_no_file_has_a_number_that_is_not_finite(form):
         assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(("form", "name"), [("mjcf", "MJCF"), ("modelica", "Modelica")])
+@pytest.mark.parametrize(("form", "name"), [("mjcf", "MJCF"), ("mjcf-soft", "MJCF"), ("modelica", "Modelica")])
 def test_a_missing_inertia_is_named(form, name):
     with pytest.raises(
         ValueError, match=rf"^design.inertia is missing: {name} needs output_inertia; .*--output-inertia$"
@@ -122,6 +122,36 @@ def test_mujoco_gives_back_backlash_stiffness_and_friction():
         ends[parts] = np.stack([60 - viscous * speeds[0], viscous])
     np.testing.assert_allclose(ends["both"], [[18, 18], [5, 5]], rtol=1e-3)
     np.testing.assert_allclose(ends["apart"], [[10, 8], [3, 2]], rtol=1e-3)
+
+
+@pytest.mark.parametrize("half", [2e-4, 0.0])
+def test_the_soft_file_has_backlash_and_friction_at_a_millisecond(half):
+    """Settled speed by hand; the load swings against the held rotor through the backlash, and a little more."""
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(written("mjcf-soft", half_backlash=half))
+    assert model.opt.timestep == 1e-3
+    out, rotor = (model.joint(name).dofadr[0] for name in ("output", "rotor"))
+    data = mujoco.MjData(model)
+    data.ctrl[0] = 60 / 121
+    mujoco.mj_step(model, data, 8000)
+    assert data.qvel == pytest.approx([(60 - 18) / 5] * 2, rel=1e-6)
+    assert data.qpos[rotor] - data.qpos[out] == pytest.approx(half, abs=1e-4)
+
+    model.dof_armature[rotor] = 1e9
+    mujoco.mj_setConst(model, data)
+    data, angle = mujoco.MjData(model), []
+    for load in (LOAD, -LOAD):
+        data.qfrc_applied[out] = load
+        mujoco.mj_step(model, data, 3000)
+        angle.append(data.qpos[out])
+    stiff = [sign * (half + LOAD / 3.7e5) for sign in (1, -1)]  # of the elastic train: the constraint is of its size
+    assert (
+        np.all(np.abs(angle) > half)
+        and np.all(np.abs(angle) < 1.5 * np.abs(stiff))
+        and np.sign(angle).tolist() == [1, -1]
+    )
+    head = " ".join(written("mjcf-soft").partition("-->")[0].split())
+    assert "timestep is 0.001 s" in head and "stiffness and damping of the train" in head
 
 
 def test_a_step_of_the_page_has_the_friction_of_the_load():

@@ -10,6 +10,7 @@ import re
 import textwrap
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 from rvjax.records import PyTree
@@ -120,19 +121,27 @@ NUMBERS = ("mu_avg", "mu_dif", "forward_loss", "backward_loss")
 PROPORTIONAL = "friction in proportion to the load (its numbers are in <custom>)"
 
 
-def as_mjcf(joint: object, header: Header) -> str:
+SOFT_STEP = 1e-3  # s
+SOFT = f"{2 * SOFT_STEP:g} 1"  # time constant, at least two timesteps, and damping ratio of the constraint
+SOFT_REMARK = (
+    f"The timestep is {SOFT_STEP:g} s: a constraint, {2 * SOFT_STEP:g} s, keeps the backlash in place of the train."
+)
+
+
+def as_mjcf(joint: object, header: Header, *, soft: bool = False) -> str:
     """Text of the file.
 
     Args:
         joint: the model, with both inertias.
         header: its origin.
+        soft: whether a constraint of the simulator is in place of the elastic train.
 
     Raises:
         ValueError: an inertia is missing, or a number is not finite.
     """
     values = with_inertia(joint, "MJCF")
     rotor, output = values["rotor_inertia"], values["output_inertia"]
-    step = STEPS / _frequency(values)
+    step = SOFT_STEP if soft else STEPS / _frequency(values)
 
     root = ElementTree.Element("mujoco", model=header.study)
     _add(root, "compiler", angle="radian", boundmass="0", boundinertia="0")
@@ -145,14 +154,22 @@ def as_mjcf(joint: object, header: Header) -> str:
     _body(world, "output", output, values["output_viscous"], values["output_friction"])
 
     half = digits(values["half_backlash"])
-    spring = dict(stiffness=digits(values["stiffness"]), damping=digits(values["damping"]))
-    train = _add(_add(root, "tendon"), "fixed", name="train", springlength=f"-{half} {half}", **spring)
+    spring = {name: digits(values[name]) for name in ("stiffness", "damping")} | {"springlength": f"-{half} {half}"}
+    if soft:
+        spring = dict(limited="true", range=f"-{half} {half}", solreflimit=SOFT) if values["half_backlash"] > 0 else {}
+    train = _add(_add(root, "tendon"), "fixed", name="train", **spring)
     _add(train, "joint", joint="output", coef="1")
     _add(train, "joint", joint="rotor", coef="-1")
+    if not spring:  # without backlash the rotor holds the output
+        _add(_add(root, "equality"), "tendon", tendon1="train", solref=SOFT)
     _add(_add(root, "actuator"), "motor", name="motor", joint="rotor", gear=digits(values["ratio"]))
     ElementTree.indent(root)
-    said = ("The control of the motor is the torque of the motor shaft in N m.", remark(joint))
-    return header.xml((*MISSING, PROPORTIONAL), said) + ElementTree.tostring(root, encoding="unicode") + "\n"
+    said = (
+        "The control of the motor is the torque of the motor shaft in N m.",
+        SOFT_REMARK if soft else remark(joint),
+    )
+    missing = (*MISSING, PROPORTIONAL, *(("stiffness and damping of the train",) if soft else ()))
+    return header.xml(missing, said) + ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
 def remark(joint: object) -> str:
@@ -326,6 +343,7 @@ class Form(NamedTuple):
 
 FORMATS = {
     "mjcf": Form(".xml", as_mjcf, True, remark),
+    "mjcf-soft": Form(".xml", partial(as_mjcf, soft=True), True, lambda _: SOFT_REMARK),
     "modelica": Form(".mo", as_modelica, True),
     "urdf": Form(".urdf", as_urdf, False),
     "json": Form(".json", as_json, False),

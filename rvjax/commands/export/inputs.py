@@ -21,7 +21,7 @@ UNITS = 256
 """Random units of a statistic without --samples."""
 STATISTICS = {"median": 0.5, "p99": 0.99}
 ALL = "all"  # parts
-JOINT = ("unit", "rated_torque", "damping", "input_inertia", "output_inertia", "samples")
+JOINT = ("unit", "rated_torque", "damping", "input_inertia", "output_inertia", "samples", "curve")
 OUTLINE = ("part", "disc", "chord", "result")  # the last one of sizes too
 """Options of one kind of file."""
 SIZES = "sizes"
@@ -40,7 +40,7 @@ class ExportInputs(Inputs):
       rvjax export my-study.toml joint.xml
       rvjax export my-study.toml joint.mo --rated-torque "412 N m" --damping "50 N m s/rad"
       rvjax export my-study.toml joint.json --unit p99 --samples 1000
-      rvjax export my-study.toml joint.urdf --unit unit-17.toml
+      rvjax export my-study.toml joint.urdf --unit unit-17.toml --curve error.csv
 
     Outlines have the sizes of the design, or of the mid-points of a result. DXF needs the extra cad. Sizes for the
     drawing have the tolerances of the study, or those of a result.
@@ -49,6 +49,7 @@ class ExportInputs(Inputs):
     [design.contact]. Endings: .xml (MJCF), .mo (Modelica), .urdf, .json. A unit is "nominal" (no
     errors), a .toml file with the table [errors] of a measured unit, or a statistic of random units: with "median"
     or "p99" every number is the median, or the unfavourable 99 % quantile. MJCF and Modelica need both inertias.
+    mjcf has the stiffness of the train; mjcf-soft has a constraint in its place, which allows a timestep of 1 ms.
     """
 
     source: str = study_argument()
@@ -56,7 +57,7 @@ class ExportInputs(Inputs):
     form: str = option(
         "format of the file (default: by its ending)",
         default="",
-        choices=["mjcf", "modelica", "urdf", "json", SIZES],
+        choices=[*FORMATS, SIZES],
         flag="--as",
     )
     unit: str = option(
@@ -84,6 +85,12 @@ class ExportInputs(Inputs):
         "of all that turns with the output (default: from design.inertia)", "INERTIA", unit="kg m2", sign="positive"
     )
     samples: int | None = option("random units of median and p99 (default: 256)", "N", type=whole_number)
+    curve: Path | None = option(
+        "write the transmission error over a turn of the output under the rated torque too (default: none)",
+        "FILE.csv",
+        type=Path,
+        ends=".csv",
+    )
     part: str = option("part of the outline (default: disc)", default="disc", choices=[*PARTS, ALL])
     disc: int = option("number of the disc, from 0 (default: 0)", "K", default=0, type=int)
     chord: float | None = option(
@@ -103,16 +110,20 @@ class ExportInputs(Inputs):
         """
         self.drawing = self.file.suffix in DRAWINGS and not self.form
         statistic = self.unit in STATISTICS
-        endings = {form.ending: name for name, form in FORMATS.items()}
+        endings = {form.ending: name for name, form in FORMATS.items() if not name.endswith("-soft")}
         self.form = self.form or endings.get(self.file.suffix, "")
         if not (self.form or self.drawing):
             ends = ", ".join((*endings, *DRAWINGS))
             raise ValueError(f"{self.file}: must end with one of {ends}, or give --as")
         if self.form == SIZES and self.file.suffix != ".csv":
             raise ValueError(f"{self.file}: must end with .csv; --as {SIZES} writes a table")
-        if self.file.exists():
-            raise ValueError(f"{self.file}: exists already; name a new file")
-        check_writable(self.file)
+        for file in (self.file, self.curve):
+            if file is not None and file.exists():
+                raise ValueError(f"{file}: exists already; name a new file")
+            if file is not None:
+                check_writable(file)
+        if self.curve == self.file:
+            raise ValueError(f"--curve {self.curve}: must be another file than that of the joint model")
         what, others = self._others()
         if unused := [flag_of(f.name) for f in dataclasses.fields(self) if f.name in others and self.given(f)]:
             raise ValueError(f"{unused[0]}: {self.file} is {what}, which has no such option")
@@ -126,6 +137,10 @@ class ExportInputs(Inputs):
             return
         if self.samples is not None and not statistic:
             raise ValueError(f"--samples {self.samples}: needs --unit {' or '.join(STATISTICS)}")
+        if self.curve is not None and statistic:
+            raise ValueError(
+                f"--curve {self.curve}: --unit {self.unit} is no single unit; give nominal or a .toml file"
+            )
         needs = ("design", "tolerances") if statistic else ("design",)
         self.study = study.load(self.source, solve=False, needs=needs)
         self.torque = self._checked()

@@ -1,27 +1,29 @@
 """Joint model of a unit, of a measured one, or of a statistic of random ones."""
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import rvjax
-from rvjax import running
+from rvjax import loaded, running
 from rvjax._jax.programs import QUICK
 from rvjax.base import progress
 from rvjax.commands.export.inputs import STATISTICS, ExportInputs
 from rvjax.population import Population, drawn, root_key
 from rvjax.records import PyTree, Record, field, record, text
-from rvjax.render import Note, Report, Table, Text
+from rvjax.render import Note, Report, Table, Text, as_csv
 from rvjax.response import per_response
 from rvjax.running import FORMATS, Header, Joint
 from rvjax.status import MEANING, SUCCESS, Status
 from rvjax.study import StudyError, naming
+from rvjax.units import arcsec
 
 SOLVING = "joint model"
 TIGHT = "warning: the nominal unit has no clearance, but real units have; --unit median has that of random units"
+ANGLES = 24  # of a turn of the crank or shaft, on the curve
 LOW = ("stiffness", "mu_dif")
 """Numbers of which the low values are unfavourable."""
 
@@ -48,8 +50,16 @@ def _of_units(unit: _Joined, population: Population, z: jax.Array) -> running.Jo
     return jax.vmap(lambda z: unit(population.errors(z)), in_axes=-1)(z)
 
 
-def compute(inputs: ExportInputs) -> tuple[running.Joint, Header]:
-    """The joint model, and its origin.
+class Exported(NamedTuple):
+    """A joint model, its origin, and the transmission error over a turn of the output, (n,) rad, or None."""
+
+    joint: Joint
+    header: Header
+    error: np.ndarray | None
+
+
+def compute(inputs: ExportInputs) -> Exported:
+    """The joint model, its origin, and the transmission error where it is wanted.
 
     Raises:
         StudyError: a unit that cannot be solved, in one line.
@@ -77,7 +87,31 @@ def compute(inputs: ExportInputs) -> tuple[running.Joint, Header]:
         found = found.replace(rotor_inertia=inputs.input_inertia * found.ratio**2)
     if inputs.output_inertia is not None:
         found = found.replace(output_inertia=inputs.output_inertia)
-    return found, Header(study.name, said, rvjax.__version__)
+    return Exported(found, Header(study.name, said, rvjax.__version__), _error(inputs, inputs.errors))
+
+
+def _error(inputs: ExportInputs, errors: PyTree | None) -> np.ndarray | None:
+    """Transmission error of a unit under the rated torque at angles of a turn of the output; None where none is wanted.
+
+    Raises:
+        StudyError: an equilibrium that cannot be solved, in one line.
+    """
+    if inputs.curve is None or errors is None:
+        return None
+    study, given = inputs.study, inputs.study.conditions
+    found = loaded.revolution(
+        errors.stiffened(study.design),
+        errors,
+        output_torque=inputs.torque,
+        turns=1.0,
+        samples=ANGLES * study.design.cycloid.pin_count,
+        contact=given.pin_contact,
+        carrier=given.carrier,
+        sun=getattr(given, "sun", "fixed"),
+    )
+    if (status := Status(int(found.info.status))) not in SUCCESS:
+        raise StudyError(f"--curve: cannot be solved: {status.name} ({MEANING[status]})")
+    return np.asarray(found.error)
 
 
 def _statistic(unit: _Joined, inputs: ExportInputs) -> tuple[running.Joint, str]:
@@ -104,14 +138,21 @@ def _statistic(unit: _Joined, inputs: ExportInputs) -> tuple[running.Joint, str]
     return found.replace(info=info, **settled), said
 
 
-def report(inputs: ExportInputs, found: tuple[Joint, Header]) -> Report:
+def _curve_file(error: np.ndarray, torque: float) -> bytes:
+    """Table that `rvjax compensate` and `rvjax identify` read."""
+    angles = 360 * np.arange(len(error)) / len(error)
+    rows = [[float(angle), float(value), torque] for angle, value in zip(angles, error / arcsec)]
+    return as_csv(["angle [deg]", "error [arcsec]", "torque [N m]"], rows)
+
+
+def report(inputs: ExportInputs, found: Exported) -> Report:
     """The report on a joint model.
 
     Args:
         inputs: inputs of the command.
-        found: the joint model, and its origin.
+        found: the joint model, its origin, and the transmission error or None.
     """
-    joint, header = found
+    joint, header, error = found
     content = FORMATS[inputs.form].write(joint, header).encode()
     fields = [f for f in dataclasses.fields(joint) if f.name != "info"]
     numbers = {f.name: None if (value := getattr(joint, f.name)) is None else float(value) for f in fields}
@@ -126,15 +167,17 @@ def report(inputs: ExportInputs, found: tuple[Joint, Header]) -> Report:
         for unit in ("" if f.metadata["unit"] == "-" else f.metadata["unit"],)
     ]
     columns = [Text("number"), Text("value"), Text("unit"), Text("meaning", wraps=True)]
+    curve = {} if inputs.curve is None or error is None else {inputs.curve: _curve_file(error, inputs.torque)}
     said = f"Joint model of {header.study}, unit: {header.unit}. All numbers refer to the output."
     return Report(
         title=f"Joint model of {header.study}",
         content=(Note(said), Table("joint", columns, rows)),
         data={"study": header.study, "unit": header.unit, "format": inputs.form} | numbers,
-        exports={inputs.file: content},
+        exports={inputs.file: content} | curve,
         told={"file": str(inputs.file)},
         closing=(
             f"{inputs.file}: {inputs.form}",
+            *(f"{file}: transmission error over a turn of the output under {inputs.torque:g} N m" for file in curve),
             *filter(None, [FORMATS[inputs.form].remark(joint)]),
             *([TIGHT] if inputs.unit == "nominal" and numbers["half_backlash"] == 0 else []),
         ),
