@@ -255,6 +255,7 @@ PICTURES = {
     "bench_table": (_bench_picture, (7, 7.2)),
     "reducer": (lambda axes: drawings.reducer(catalogue.RV_40E, axes=axes), (7, 7.4)),
     "drive": (lambda axes: plotting.drive.reducer(catalogue.CYCLOIDAL_17, axes=axes), (7, 7.4)),
+    "drive_errors": (lambda axes: plotting.drive.errors(catalogue.CYCLOIDAL_17, axes=axes), (11, 6.4)),
     "linkage": (lambda axes: drawings.linkage(catalogue.RV_40E, axes=axes), (7, 5.2)),
     "turn": (_turn, (7, 4.2)),
     "contributions": (

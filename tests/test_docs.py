@@ -23,7 +23,9 @@ from matplotlib.path import Path as Outline
 from benchmarks import tables
 from rvjax import catalogue, cli, models, published, study
 from rvjax.commands.init import written
+from rvjax.cycloidal import CycloidalErrors
 from rvjax.designs import RVReducer
+from rvjax.errors import read_by
 from rvjax.plotting import drawings, drive
 from rvjax.units import mm, um
 
@@ -248,6 +250,31 @@ def test_drawn_discs_of_a_drive_touch_pins_of_ring_and_carrier(axes):
         for hole, pin in zip(holes, output):  # without clearance every pin touches its hole from inside
             gap = np.linalg.norm(hole - pin, axis=-1).min() - design.output.pin_radius
             assert -2e-6 < gap < 20e-6
+
+
+@pytest.mark.parametrize("name", ["CYCLOIDAL_15", "CYCLOIDAL_17", "CYCLOIDAL_29"])
+def test_the_picture_of_a_drive_has_every_error_at_its_part(axes, name):
+    """Arrows end on a pin of the ring, on an output pin, on the edge of a hole, and on the flank."""
+    design = getattr(catalogue, name)
+    drive.errors(design, axes=axes)
+    texts = {text.get_text(): np.array(text.xy) * mm for text in axes.texts}
+    named = [line.split()[0] for text in texts for line in text.split("\n")]
+    geometric = read_by(CycloidalErrors, "loaded")
+    assert [one for one in geometric if named.count(one) != 1] == []
+    at = {part: texts[part] for part in ("pin", "output pin", "hole", "flank", "eccentric")}
+    cycloid, output = design.cycloid, design.output
+    pins = [np.array(patch.center) * mm for patch in axes.patches if isinstance(patch, Circle) and patch.radius > 0]
+    assert min(np.hypot(*(at["pin"] - pin)) for pin in pins) < 1e-9
+    assert np.hypot(*at["pin"]) == pytest.approx(cycloid.pin_circle_radius)
+    assert min(np.hypot(*(at["output pin"] - pin)) for pin in pins) < 1e-9
+    assert np.hypot(*at["output pin"]) == pytest.approx(output.circle_radius)
+    assert at["eccentric"] == pytest.approx([cycloid.eccentricity, 0])
+    angle = 2 * np.pi * np.arange(output.count) / output.count
+    holes = output.circle_radius * np.stack([np.cos(angle), np.sin(angle)], axis=1) + at["eccentric"]
+    radius = output.pin_radius + cycloid.eccentricity + output.hole_clearance / 2
+    assert np.abs(np.hypot(*(holes - at["hole"]).T) - radius).min() < 1e-9
+    ring = np.array([pin for pin in pins if np.isclose(np.hypot(*pin), cycloid.pin_circle_radius)])
+    assert np.hypot(*(ring - at["flank"]).T).min() > cycloid.pin_radius - 2e-6
 
 
 def test_the_drawn_linkage_is_a_parallelogram_in_the_frames_of_its_cranks(axes):

@@ -49,6 +49,68 @@ def reducer(design: CycloidalReducer, *, axes: Axes | None = None) -> Axes:
     return axes
 
 
+PLACES = (
+    ("pin circle", "right", ("pin_circle_radius", "ring_centre")),
+    ("pin", "right", ("pin_offset", "pin_radii", "pin_radius", "pin_hole_clearance")),
+    ("output pin", "right", ("output_pin_offset", "output_pin_radius")),
+    ("circle of output pins", "right", ("carrier_centre",)),
+    ("eccentric", "right", ("throw", "eccentric_phase", "eccentricity (of the flank too)")),
+    ("hole", "left", ("hole_position", "hole_radius")),
+    ("flank", "left", ("equidistant_modification", "shift_modification", "disc_profile", "disc_pitch")),
+    ("teeth against bore", "left", ("disc_centre",)),
+    ("eccentric bearing", "left", ("bearing_clearance",)),
+    ("shaft", "left", ("shaft_centre", "support_clearance")),
+)
+"""What an error belongs to, the side of its text, and the errors; from the top of each side down."""
+
+
+def errors(design: CycloidalReducer, *, axes: Axes | None = None) -> Axes:
+    """One disc at input angle 0, and the part at which each error acts.
+
+    Args:
+        design: of the drive.
+        axes: where to draw; a new figure by default.
+    """
+    axes = new_axes(axes, (11, 6.4))
+    cycloid, output, pitch = design.cycloid, design.output, 2 * np.pi / design.cycloid.pin_count
+    section(design.replace(cycloid=cycloid.replace(disc_count=1)), axes)
+    centre, gap = float(cycloid.eccentricity) * unit_vector(0.0), 2 * np.pi / output.count
+    hole = float(output.pin_radius + cycloid.eccentricity + output.hole_clearance / 2)
+    ring, around = float(cycloid.pin_circle_radius), float(output.circle_radius)
+    pin, left = pitch * round(np.radians(40) / pitch), gap * round(np.radians(125) / gap)
+    points = flank(design) + centre
+    ends = {
+        "pin circle": ring * unit_vector(pin + 1.5 * pitch),
+        "pin": ring * unit_vector(pin),
+        "output pin": around * unit_vector(0.0),
+        "circle of output pins": around * unit_vector(-gap / 2),
+        "eccentric": centre,
+        "flank": points[np.argmin(np.abs(np.arctan2(*points.T[::-1]) - np.radians(140)))],
+        "hole": around * unit_vector(left) + centre + hole * unit_vector(left),
+        "teeth against bore": centre + _bore(design) * unit_vector(np.radians(170)),
+        "eccentric bearing": centre + (_bore(design) + _eccentric(design)) / 2 * unit_vector(np.radians(200)),
+        "shaft": np.zeros(2),
+    }
+    outside = float(cycloid.pin_circle_radius + cycloid.pin_radius) / mm
+    for side, sign in (("right", 1), ("left", -1)):
+        rows = [row for row in PLACES if row[1] == side]
+        for (part, _, names), height in zip(rows, np.linspace(0.9, -0.8, len(rows)) * outside):
+            line = dict(arrowstyle="-|>", color="black", lw=0.8, relpos=(0.5 - sign / 2, 1.0))
+            for text, form in (
+                ("\n".join(names), dict(va="top", arrowprops=line)),
+                (part, dict(va="bottom", weight="bold")),
+            ):
+                axes.annotate(
+                    text, ends[part] / mm, xytext=(sign * 1.2 * outside, height), ha="left" if sign > 0 else "right",
+                    fontsize=9, zorder=6, **form,
+                )  # fmt: skip
+    axes.set(xlim=(-2.1 * outside, 2.1 * outside), ylim=(-1.08 * outside, 1.08 * outside))
+    axes.set(xlabel="x (mm)", ylabel="y (mm)", title="Errors of a single-stage drive, and where they act")
+    axes.set_aspect("equal")
+    axes.grid(visible=False)
+    return axes
+
+
 def before_and_after(before: CycloidalReducer, after: CycloidalReducer) -> Axes:
     """Two drives along their axes side by side, to one scale; below, their discs seen from the side.
 

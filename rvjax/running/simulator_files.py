@@ -123,9 +123,7 @@ PROPORTIONAL = "friction in proportion to the load (its numbers are in <custom>)
 
 SOFT_STEP = 1e-3  # s
 SOFT = f"{2 * SOFT_STEP:g} 1"  # time constant, at least two timesteps, and damping ratio of the constraint
-SOFT_REMARK = (
-    f"The timestep is {SOFT_STEP:g} s: a constraint, {2 * SOFT_STEP:g} s, keeps the backlash in place of the train."
-)
+SOFT_REMARK = f"The timestep is {SOFT_STEP:g} s: a soft constraint keeps the backlash in place of the elastic train."
 
 
 def as_mjcf(joint: object, header: Header, *, soft: bool = False) -> str:
