@@ -61,7 +61,7 @@ PLACES = (
     ("eccentric bearing", "left", ("bearing_clearance",)),
     ("shaft", "left", ("shaft_centre", "support_clearance")),
 )
-"""What an error belongs to, the side of its text, and the errors; from the top of each side down."""
+"""Part of the drive, side of its text, its errors; each side from the top."""
 
 
 def errors(design: CycloidalReducer, *, axes: Axes | None = None) -> Axes:
