@@ -28,6 +28,8 @@ Level = tuple[Settings, str, str | None] | None  # settings, precision, output o
 
 CURVE = "curve"
 """Of the names of its numbers among the values of a response."""
+LONGEST = 256
+"""Most of these numbers: each is an output of the program, and 961 of them take 9 s to compile."""
 
 
 @record
@@ -111,7 +113,8 @@ class Response(Record):
         """Outputs in groups that share no result, each as a separate response, one with the curve."""
         joints = [{(None, source) for source in joint.sources} for joint in self._joints()]
         drawn = models.kind(self.design).curve(self.outputs)
-        curve = None if drawn is None else drawn.source
+        short = drawn is not None and drawn.angles is not None and len(drawn.angles(self.conditions)) <= LONGEST
+        curve = drawn.source if drawn is not None and short else None
         groups: list[tuple[set[object], list[str]]] = []
         for name in self.outputs:
             own = self._read(name) or {name}
