@@ -22,7 +22,7 @@ from rvjax.outputs import Curve, Output, torque_condition
 from rvjax.population import Population
 from rvjax.records import Design, Record, Scalar, field, record, text
 from rvjax.render import CSV, EVERYWHERE, Column, Interval, Note, Quantity, Table, Text, number
-from rvjax.response import per_response
+from rvjax.response import UNITS, mesh_of, on, per_response
 from rvjax.study import Study
 from rvjax.tolerances import Influence
 from rvjax.units import readable
@@ -61,8 +61,9 @@ def curves_of(
         torque: other than that of the conditions, N m.
     """
     unit, count, found = _unit(curve, design, conditions, torque), z.shape[1], list[np.ndarray]()
+    mesh = mesh_of(AT_ONCE)
     for lanes in calls(count, AT_ONCE):
-        angles, values = _curves(unit, population, jnp.asarray(z[:, lanes]))
+        angles, values = _curves(unit, population, on(mesh, jnp.asarray(z[:, lanes])), mesh=mesh)
         found.append(np.asarray(values))
     return np.asarray(angles)[0], np.concatenate(found)[:count]
 
@@ -75,7 +76,7 @@ def _unit(curve: Curve, design: Design, conditions: object, torque: float | None
     return _Drawn(design, float(torque), dataclasses.replace(conditions, **{name: 0.0}), name, curve.evaluate)  # type: ignore[type-var]
 
 
-@per_response(options=QUICK)
+@per_response(options=QUICK, shared=UNITS)
 def _curves(
     unit: Callable[..., tuple[jax.Array, jax.Array]], population: Population, z: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
