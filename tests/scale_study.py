@@ -4,8 +4,13 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
+from rvjax import study
+from rvjax.commands.budget.effects import curves_of
+from rvjax.population import Population, root_key
+from rvjax.response import numbers_of
 from rvjax.status import Status
 from rvjax.tolerances import Outcome, Requirement, Tolerance, monte_carlo
 
@@ -49,3 +54,11 @@ def same_to_roundoff(one, two):
                 assert a == pytest.approx(b, rel=1e-12, abs=1e-14)
         for p in one.quantiles:
             assert one.quantiles[p][name].value == pytest.approx(two.quantiles[p][name].value, rel=1e-9)
+
+
+def curves():
+    """Angles and curves of 300 units of the four-bar model: a full call and a part of one."""
+    asked = study.load("rv-40e", solve=False)
+    population = Population.of(asked.tolerances)
+    z = numbers_of(population, root_key(2), np.arange(300))
+    return curves_of(asked.curve, asked.design, asked.conditions, population, z)

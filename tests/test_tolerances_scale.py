@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scale_study import STACK, bits, first, response, run, same_to_roundoff, smooth
+from scale_study import STACK, bits, curves, first, response, run, same_to_roundoff, smooth
 from scipy import special
 from scipy.stats import qmc
 
@@ -135,7 +135,8 @@ found["again"] = here.run(20_500, **{options})
 found["few"] = here.run(700, **{options})
 found["long"] = here.run(20_500, **({options} | dict(chunk=4096)))
 from rvjax.tolerances import save
-save({{"found": found, "devices": len(jax.local_devices()), "processes": jax.process_count()}}, {path!r})
+about = {{"devices": len(jax.local_devices()), "processes": jax.process_count()}}
+save({{"curves": here.curves(), "found": found}} | about, {path!r})
 """
 
 
@@ -161,6 +162,8 @@ def test_eight_devices_give_what_one_gives(tmp_path, alone):
     for name, expected in alone.items():
         same_to_roundoff(result["found"][name], expected)
     assert bits(result["found"]["again"]) == bits(result["found"]["random"])
+    for shared, whole in zip(result["curves"], curves()):
+        np.testing.assert_allclose(shared, whole, rtol=0, atol=1e-15)
 
 
 def free_port():
