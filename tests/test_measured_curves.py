@@ -10,6 +10,7 @@ from rvjax import catalogue, measured
 from rvjax.identify.observation import svd
 from rvjax.measured import findings, judge
 from rvjax.measured.run import legs, places, repetition
+from rvjax.measured.terms import Model, Term
 from rvjax.units import arcsec, deg
 from tests.measured_cases import NOISE, PARTS, TRUTH, curve, equal, evaluated, noise, run, said
 
@@ -94,6 +95,22 @@ def test_singular_values_where_the_fast_driver_fails(monkeypatch):
     left, size, right = svd(matrix)
     np.testing.assert_allclose(size, due, rtol=1e-12)
     np.testing.assert_allclose(left * size @ right, matrix, atol=1e-12)
+
+
+@pytest.mark.parametrize("alike", [False, True])
+def test_the_score_with_one_term_less_is_that_of_its_fit(alike):
+    """Of terms of every kind at uneven angles; an order twice, as a line too, is explained by the other."""
+    rng = np.random.default_rng(4)
+    angle = np.sort(rng.uniform(0, 2 * np.pi, 300))
+    value = 5 * np.cos(7 * angle) + 2 * np.sin(11.3 * angle) + 0.4 * angle + rng.normal(size=300)
+    terms = [Term("order", 7.0), Term("line", 11.3), Term("drift"), Term("warm-up", 0.7), Term("step", 90.0)]
+    terms += [Term("glitch", 33.0), Term("pair", 20.4), *([Term("line", 7.0)] if alike else [])]
+    model = Model(angle, value, terms)
+    assert (model.basis.shape[1] < len(model.owner)) == alike
+    for term in terms:
+        assert model.less(term) == pytest.approx(model.without(term).score, abs=1e-9), term
+    lost = [model.less(term) - model.score for term in terms]
+    assert (lost[0] < 1e-9) == alike and lost[1] > 100
 
 
 def test_a_high_order_at_uneven_angles_does_not_leak():

@@ -128,6 +128,17 @@ class Model:
         """The model with one term less."""
         return Model(self.angle, self.value, [a for a in self.terms if a != term])
 
+    def less(self, term: Term) -> float:
+        """Score with one term less, which is not removed: the part of its columns that no others explain is lost.
+
+        Args:
+            term: of the model.
+        """
+        if len(self.owner) > self.basis.shape[1]:  # others explain some columns
+            return self.without(term).score
+        lost = np.linalg.qr(self.basis @ self.inverse[self.owner == self.terms.index(term)].T)[0]
+        return score(self.residual + lost @ (lost.T @ self.value), self.least)
+
 
 NUMBER = 10.0
 """Loss of likelihood that a further number of a model has to exceed; the wider class of models has to win clearly."""
@@ -321,7 +332,7 @@ def _thinned(model: Model, keep: Sequence[float]) -> Model:
         keep: orders that stay.
     """
     while True:
-        losses, nothing = {}, set()
+        losses, nothing = dict[Term, float](), set[Term]()
         for term in model.terms:
             if term.kind == "order" and term.at in keep:
                 continue
@@ -331,12 +342,12 @@ def _thinned(model: Model, keep: Sequence[float]) -> Model:
             if weight < NOTHING and term.kind == "order":
                 nothing.add(term)
             elif weight < 4 * LEAST[term.kind]:  # the quick look; the likelihood decides
-                less = model.without(term)
-                if less.score - model.score < LEAST[term.kind]:
-                    losses[term] = (less.score - model.score, less)
+                loss = model.less(term) - model.score
+                if loss < LEAST[term.kind]:
+                    losses[term] = loss
         if nothing:
             model = Model(model.angle, model.value, [a for a in model.terms if a not in nothing])
             continue
         if not losses:
             return model
-        model = min(losses.values(), key=lambda pair: pair[0])[1]
+        model = model.without(min(losses, key=lambda term: losses[term]))
