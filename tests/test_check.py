@@ -313,9 +313,9 @@ def test_what_may_move_and_what_half_of_the_units_may_miss():
 
 
 def test_turn_measures_units_over_a_whole_turn_of_the_output(monkeypatch):
-    """Ratios of both pressures by the conditions; not of a lower limit, nor of a unit that fails."""
+    """Ratios of both pressures by the conditions; not of a lower limit, nor of a unit that fails or has none."""
     units, asked_for = check.TURNED, []
-    found = {12: [1.0] * units, 4 * 12 * 18 + 1: [1.5] * (units - 2) + [3.0, math.nan]}
+    found = {12: [0.0] + [1.0] * (units - 1), 4 * 12 * 18 + 1: [1.5] * (units - 2) + [3.0, math.nan]}
 
     def measured(response, population, key, start, *, count):
         asked_for.append((response.outputs, response.conditions.span, response.conditions.samples, count))
@@ -326,10 +326,10 @@ def test_turn_measures_units_over_a_whole_turn_of_the_output(monkeypatch):
     larger = check._over_a_turn(study_of)
     names = ("turn_pin_pressure", "hole_pressure")
     assert asked_for == [(names, "crank_turn", 12, units), (names, "output_turn", 865, units)]
-    assert larger == {name: [1.5] * (units - 2) + [3.0] for name in names}
+    assert larger == {name: [1.5] * (units - 3) + [3.0] for name in names}
     text = check._larger_text(study_of, larger)
     assert text.startswith(
-        "Over a turn of the output, at 865 angles, 8 units have on average turn_pin_pressure 1.71 times"
+        "Over a turn of the output, at 865 angles, 8 units have on average turn_pin_pressure 1.75 times"
     )
-    assert "hole_pressure 1.71 times (largest 3) the value." in text
+    assert "hole_pressure 1.75 times (largest 3) the value." in text
     assert check._over_a_turn(study.load("rv-40e", solve=False)) == {} and check._larger_text(study_of, {}) == ""

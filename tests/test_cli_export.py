@@ -5,6 +5,7 @@ Oracles: `running.joint` of the same unit; quantiles of given joint models.
 
 import json
 import xml.etree.ElementTree as ElementTree
+from pathlib import Path
 from types import SimpleNamespace
 
 import jax
@@ -240,6 +241,20 @@ def test_the_curve_is_that_of_the_unit_and_is_read_back(folder, monkeypatch, cap
     status[0] = int(Status.UNDERCUT)
     assert cli.main(["export", "drive.toml", "b.json", "--curve", "b.csv"]) == 2
     assert "--curve: cannot be solved: UNDERCUT" in capsys.readouterr().err and not (folder / "b.json").exists()
+
+
+def test_the_curve_of_an_rv_reducer_has_the_stiffness_of_its_unit(monkeypatch):
+    """And 24 angles for each of the 40 turns of a crank."""
+    asked, seen = study.load("rv-40e-whole", solve=False), []
+
+    def revolution(design, errors, **ways):
+        seen.append((float(design.stiffness.disc_pin_mesh), ways["samples"], ways["sun"]))
+        return SimpleNamespace(error=np.zeros(1), info=SimpleNamespace(status=0))
+
+    monkeypatch.setattr(loaded, "revolution", revolution)
+    inputs = SimpleNamespace(study=asked, curve=Path("a.csv"), torque=412.0)
+    joint._error(inputs, rvjax.RVErrors.for_design(asked.design, disc_pin_stiffness=0.1))
+    assert seen == [(pytest.approx(1.1 * asked.design.stiffness.disc_pin_mesh), 960, "fixed")]
 
 
 @pytest.fixture

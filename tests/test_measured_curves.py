@@ -10,7 +10,7 @@ from rvjax import catalogue, measured
 from rvjax.identify.observation import svd
 from rvjax.measured import findings, judge
 from rvjax.measured.run import legs, places, repetition
-from rvjax.measured.terms import Model, Term
+from rvjax.measured.terms import LEAST, Model, Term, _thinned
 from rvjax.units import arcsec, deg
 from tests.measured_cases import NOISE, PARTS, TRUTH, curve, equal, evaluated, noise, run, said
 
@@ -111,6 +111,16 @@ def test_the_score_with_one_term_less_is_that_of_its_fit(alike):
         assert model.less(term) == pytest.approx(model.without(term).score, abs=1e-9), term
     lost = [model.less(term) - model.score for term in terms]
     assert (lost[0] < 1e-9) == alike and lost[1] > 100
+
+
+def test_the_term_goes_first_that_explains_least():
+    """Order 7 in noise beside a line at 7.1: either can go alone, the likelihood loses less without the line."""
+    angle = equal(720) * deg
+    value = np.cos(7 * angle) + 2 * np.random.default_rng(1).normal(size=720)
+    model = Model(angle, value, [Term("order", 1.0), Term("order", 7.0), Term("line", 7.1)])
+    _, order, line = (model.less(term) - model.score for term in model.terms)
+    assert line < order < LEAST["order"]
+    assert _thinned(model, keep=[1]).terms == model.terms[:2]
 
 
 def test_a_high_order_at_uneven_angles_does_not_leak():
