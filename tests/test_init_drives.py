@@ -301,7 +301,7 @@ def test_an_output_without_a_limit_that_fails_leaves_the_others(monkeypatch):
     monkeypatch.setattr(study.Study, "at_mid_points", solved)
     monkeypatch.setattr(check, "_turning", lambda _: [])
     monkeypatch.setattr(check, "_remedy", lambda *_: "")
-    found = check.compute(SimpleNamespace(study=made))
+    found = check.compute(SimpleNamespace(study=made, turn=False))
     assert made.further and (found.values, found.status) == (values, Status.CONVERGED)
 
 
@@ -311,7 +311,8 @@ def test_check_of_a_drive_has_usual_values_without_limits_and_the_share_that_jam
     cut = text[: text.index("[requirement.turn_pin_pressure]")] + text[text.index("[run]") :]
     (tmp_path / "mine.toml").write_text(cut.replace('"100 um"', '"40 um"'))
     made = study.load(str(tmp_path / "mine.toml"), solve=False)
-    assert made.further == ("torsional_stiffness", "turn_pin_pressure", "hole_pressure")  # no friction: no efficiency
+    usual = ("torsional_stiffness", "turn_pin_pressure", "loaded_pins", "hole_pressure")  # no friction: no efficiency
+    assert made.further == usual
     lines = check._turning(made)
     assert re.match(r"\d", lines[0]) and "of 1,024 units jam" in lines[0]
 

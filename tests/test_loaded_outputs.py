@@ -68,6 +68,7 @@ def test_every_output_is_what_its_equilibria_show(thorough):
         "support_bearing_force": np.linalg.norm(first.support_bearing, axis=-1).max(),
         "crank_sharing": share(first.gear),
         "disc_sharing": share(first.disc_torque),
+        "loaded_pins": (first.pins > 0).sum(axis=(1, 2)).min(),
         "bench_lost_motion": (twist[-0.03] - twist[0.03]).max(),
         "torsional_stiffness": (0.5 * RATED / (twist[0.5] - twist[1.0])).min(),
     }
@@ -77,6 +78,7 @@ def test_every_output_is_what_its_equilibria_show(thorough):
     for name in loose.keys() & values.keys():
         assert values[name] == pytest.approx(loose[name], rel=1e-6) and values[name] > 0, name
     assert set(due) | set(loose) == set(ALL) and values["mean_shift"] > 0 and 1 < values["disc_sharing"] < 2
+    assert 2 < values["loaded_pins"] < 2 * 20  # half of the pins are on the side that carries
 
 
 def test_outputs_of_a_bench_are_those_of_its_rotations(monkeypatch):

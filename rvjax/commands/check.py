@@ -15,14 +15,25 @@ from rvjax.commands import READING, Inputs, option, study_argument, switch
 from rvjax.commands.cells import assumed_text, condition_text, limit_text, limits_data, limits_of
 from rvjax.commands.forecast import choices, doubts_of_unit, expected, level_lines, missed_at_mid_points
 from rvjax.levels import Choice
+from rvjax.loaded import DriveConditions
 from rvjax.outputs import Output
 from rvjax.population import Population, root_key
-from rvjax.records import PyTree
 from rvjax.render import Figure, Limits, Note, Number, Report, Table, Text
 from rvjax.response import respond_units
 from rvjax.status import SUCCESS, Status, worst
-from rvjax.study import KINDS, Response, Study, facts_of, kind_of, mid_points, number_at, numbers, outcome_of, shown
-from rvjax.study.span import over_a_turn
+from rvjax.study import (
+    KINDS,
+    Response,
+    Study,
+    facts_of,
+    kind_of,
+    mid_points,
+    number_at,
+    numbers,
+    outcome_of,
+    over_a_turn,
+    shown,
+)
 from rvjax.units import with_unit
 
 
@@ -125,7 +136,7 @@ def _over_a_turn(study: Study) -> dict[str, list[float]]:
     return {name: (whole[name][good] / own[name][good]).tolist() for name, good in positive.items()}
 
 
-def _finer(study: Study) -> PyTree:
+def _finer(study: Study) -> DriveConditions:
     """Conditions of a whole turn at more angles."""
     return over_a_turn(study.design, study.conditions, next(iter(study.spans)), FINER)
 

@@ -250,6 +250,9 @@ DESCRIPTION = Description(
         "disc_sharing": _of_turn(
             "-", "largest share of a disc in the torque, times their number, over the span", "disc_sharing", _loaded
         ),
+        "loaded_pins": _of_turn(
+            "-", "fewest pins that carry, of all discs together, over the span", "fewest_pins", _loaded
+        ),
         "backlash": Output(
             "rad", "turn of the output between both probe torques, largest of the probe angles",
             Reading((BACKLASH,), _play), NEEDS, refuse=_rated,
@@ -289,7 +292,7 @@ DESCRIPTION = Description(
 
 _ALIKE = (
     "loaded_transmission_error second_transmission_error unloaded_transmission_error mean_shift order_amplitude "
-    "pin_force pin_pressure turn_pin_pressure disc_sharing backlash bench_lost_motion torsional_stiffness"
+    "pin_force pin_pressure turn_pin_pressure disc_sharing loaded_pins backlash bench_lost_motion torsional_stiffness"
 )
 OTHERS = (
     replace(

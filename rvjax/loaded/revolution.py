@@ -38,6 +38,7 @@ class Loads(NamedTuple):
     largest_support_bearing: jax.Array
     crank_sharing: jax.Array | None
     disc_sharing: jax.Array
+    fewest_pins: jax.Array
     largest_output_pin: jax.Array | None = None
     largest_output_pressure: jax.Array | None = None
 
@@ -103,6 +104,7 @@ def _measure(
         largest_support_bearing=_largest(support),
         crank_sharing=None if of_names.gear is None else _sharing(of_names.gear),
         disc_sharing=_sharing(jnp.sum(case.lever * at.pins, axis=1)),
+        fewest_pins=jnp.sum(at.pins > 0, dtype=at.pins.dtype),
         largest_output_pin=None if of_names.output_pins is None else jnp.max(of_names.output_pins),
         largest_output_pressure=None if of_names.output_pressure is None else jnp.max(of_names.output_pressure),
     )
@@ -143,6 +145,7 @@ class Revolution(Record):
         "-", "most loaded planet over the mean of all, at the worst angle; 0 without torque; None: no planets"
     )
     disc_sharing: Array = field("-", "most loaded disc over the mean of all, at the worst angle; 0 without torque")
+    fewest_pins: Array = field("-", "fewest pins that carry, of all discs together, at any angle")
     info: SolveInfo = field("-", "the worst of the angles; steps: all", kind="record")
     largest_output_pin: Array | None = field("N", "largest force of any output pin at any angle", default=None)
     largest_output_pressure: Array | None = field(
@@ -222,7 +225,8 @@ def summary(equilibria: Instants) -> Revolution:
         peak_to_peak=jnp.max(error) - jnp.min(error),
         mean=jnp.mean(error),
         harmonics=jnp.where(fine, wave, jnp.nan),
-        **jax.tree.map(lambda load: jnp.where(fine, jnp.max(load), jnp.nan), equilibria.loads._asdict()),
+        **jax.tree.map(lambda load: jnp.where(fine, jnp.max(load), jnp.nan), equilibria.loads._asdict())
+        | {"fewest_pins": jnp.where(fine, jnp.min(equilibria.loads.fewest_pins), jnp.nan)},
         info=whole.replace(steps=jnp.sum(equilibria.info.steps)),
     )
 

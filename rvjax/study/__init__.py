@@ -50,6 +50,7 @@ from rvjax.study.response import (
     refuse as refuse,
 )
 from rvjax.study.sizes import COARSE as COARSE, Size, sizes_of
+from rvjax.study.span import WHOLE as WHOLE, over_a_turn as over_a_turn
 from rvjax.study.study import Study, StudyError
 from rvjax.study.tolerances import mid_points as mid_points, scalars as scalars, stated_by as stated_by
 from rvjax.study.values import (

@@ -4,12 +4,13 @@ import dataclasses
 from collections.abc import Iterable
 
 from rvjax import models
-from rvjax.records import Design, PyTree
+from rvjax.loaded import DriveConditions
+from rvjax.records import Design
 
 SPAN, WHOLE = "the span", "a turn of the output"  # in the meaning of an output; the longest span
 
 
-def _turns(design: Design, conditions: PyTree, name: str) -> float | None:
+def _turns(design: Design, conditions: object, name: str) -> float | None:
     curve = models.kind(design).described[name].curve
     return None if curve is None or curve.turns is None else curve.turns(design, conditions)
 
@@ -39,7 +40,7 @@ def spans_of(design: Design, conditions: object, names: Iterable[str]) -> dict[s
     return {name: span for name, span in found.items() if span}
 
 
-def over_a_turn(design: Design, conditions: PyTree, name: str, times: int = 1) -> PyTree:
+def over_a_turn(design: Design, conditions: DriveConditions, name: str, times: int = 1) -> DriveConditions:
     """Conditions of a whole turn of the output at angles as dense as the given ones, or `times` as dense.
 
     With one angle more, the angles of each crank turn differ, and no order of pins or holes looks like the mean.

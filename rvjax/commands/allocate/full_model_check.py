@@ -19,8 +19,7 @@ from rvjax.errors import described
 from rvjax.population import Estimate, Population, wilson
 from rvjax.render import Cell, Interval, Number, Quantity, Table, Text, Titled
 from rvjax.response import parts
-from rvjax.study import Response, Study
-from rvjax.study.span import WHOLE, over_a_turn
+from rvjax.study import WHOLE, Response, Study, over_a_turn
 from rvjax.tolerances import Requirement, monte_carlo
 from rvjax.units import with_unit
 

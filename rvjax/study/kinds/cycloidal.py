@@ -25,7 +25,7 @@ FAR_CLEARANCE = 1 / 25  # of the eccentricity; up to it the angles of the equili
 CONFORMAL = 10.0  # pin radius over eccentricity; beyond, pin and hole are too alike for the Hertzian theory
 OF_CURVE = ("loaded_transmission_error", "second_transmission_error", "unloaded_transmission_error", "mean_shift")
 """Outputs that are read from the curve of a span at its samples."""
-USUAL = ("backlash", "torsional_stiffness", "turn_pin_pressure", "hole_pressure", "efficiency")
+USUAL = ("backlash", "torsional_stiffness", "turn_pin_pressure", "loaded_pins", "hole_pressure", "efficiency")
 TURNING = 0.99  # share of units for which clearances are recommended
 HARMONICS = 3  # of the passing holes and pins
 
