@@ -95,6 +95,8 @@ def test_no_output_is_left_out():
         for name, output in kind.outputs.items():
             if getattr(output.evaluate, "sources", ()) == (of_design,):
                 continue  # reads no error; its derivatives to the design are those of test_geometry
+            if name == "loaded_pins":
+                continue  # a count: no error has a slope
             assert any(name in outputs for _, outputs, _ in CASES.values()), name
 
 
