@@ -162,6 +162,7 @@ def test_studies_that_are_not_measured(study):
         lacks,
         LOADED.replace("3136 N m", "0 N m"),
         loaded_study_text(WHOLE_TURN),
+        loaded_study_text(('upper = "1 arcmin"', 'sd_upper = "1 arcmin"')),  # no limit of a unit
         LOADED.replace('[requirement.transmission_error]\nupper = "1 arcmin"\n', ""),
     ):
         assert full_model_check.counterparts(parse_study(text, name="other", solve=False)) == {}

@@ -124,7 +124,7 @@ def compute(inputs: CheckInputs) -> Checked:
 def _over_a_turn(study: Study) -> dict[str, list[float]]:
     """Largest values over a whole turn, at finer angles, over those of the study: of random units, by response."""
     names = [name for name in study.spans if math.isinf(study.requirements[name].lower)]
-    if not names:
+    if not names or not study.fields:
         return {}
     found = []
     for conditions in (study.conditions, _finer(study)):

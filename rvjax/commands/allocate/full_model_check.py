@@ -146,7 +146,8 @@ class Whole:
 def counterparts(study: Study) -> dict[str, str]:
     """Outputs of the whole reducer or turn, by requirement; empty where there is none or the design lacks parts."""
     if study.costly:
-        return {name: name for name, span in study.spans.items() if span != WHOLE}
+        spans = {name: span for name, span in study.spans.items() if study.requirements[name].limits_values}
+        return {name: name for name, span in spans.items() if span != WHOLE}
     design, outputs = study.design, models.kind(study.design).outputs
     found = {n: outputs[n].exact or n for n, item in study.requirements.items() if item.limits_values}
     lacks = any(getattr(design, part, None) is None for part in ("stiffness", "contact"))
