@@ -31,6 +31,7 @@ def alternate(candidates: dict[str, Callable[[], Any]], **limits: Any) -> dict[s
 def settings() -> None:
     """Settings of every benchmark: float64, the command line's flags of XLA and memory. Call before JAX is used."""
     flags = ["--xla_disable_hlo_passes=tree_reduction_rewriter"]
+    flags += ["--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=8000000"]
     if "avx512f" in (Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else ""):
         flags.append("--xla_cpu_prefer_vector_width=512")
     os.environ["XLA_FLAGS"] = " ".join([os.environ.get("XLA_FLAGS", ""), *flags]).strip()

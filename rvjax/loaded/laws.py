@@ -48,14 +48,13 @@ def slope(law: str, depth: jax.Array, load: jax.Array, compliance: jax.Array) ->
     return load / jnp.where(pressed, _reserve(inside, load, compliance), 1)
 
 
-def energy(law: str, depth: jax.Array, load: jax.Array, compliance: jax.Array, level: jax.Array | None) -> jax.Array:
-    """Energy stored at a depth, J; `load` is the force at this depth."""
+def energy(law: str, depth: jax.Array, load: jax.Array, compliance: jax.Array, most: jax.Array | None) -> jax.Array:
+    """Energy stored at a depth, J; `load` is the force at this depth, `most` the largest depth, hertz only."""
     if law == "linear":
         return load * depth / 2
     if law == "palmgren":
         return 9 / 19 * load * depth
-    assert level is not None
-    most = largest_depth(compliance, level)
+    assert most is not None
     inside = load * (2 * depth - compliance * load) / 4  # c F^2 (2 y - 1) / 4
     beyond = load * depth / 2 - jnp.square(most / (1 + _LEAST)) / (4 * compliance)
     return jnp.where(depth < most, inside, beyond)
@@ -69,6 +68,18 @@ def typical_slope(law: str, load: jax.Array, compliance: jax.Array, level: jax.A
         return power(load, 0.1) / (0.9 * compliance)
     assert level is not None
     return 1 / (compliance * jnp.maximum(level - 1 - jnp.log(jnp.where(load > 0, load, 1)), 1))
+
+
+def depth(law: str, load: jax.Array, compliance: jax.Array, level: jax.Array | None) -> jax.Array:
+    """Depth at a force, m; 0 without force."""
+    if law == "linear":
+        return load / compliance
+    pressed = load > 0
+    inside = jnp.where(pressed, load, 1)
+    if law == "palmgren":
+        return jnp.where(pressed, compliance * power(inside, 0.9), 0)
+    assert level is not None
+    return compliance * load * jnp.maximum(level - log(inside), 1)
 
 
 def largest_depth(compliance: jax.Array, level: jax.Array) -> jax.Array:

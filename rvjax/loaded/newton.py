@@ -1,16 +1,18 @@
 """The minimum of the energy: Newton's method for many cases at once, batch axis last.
 
-It begins with the contacts that a torque of this sign closes, linear and without clearance. Then full steps; only after
-eight without a new lowest energy a case returns to its best point and searches the line from there (its slope is
-monotone, because the energy is convex). An immediate search fails where a journal slides round its clearance: it leaves
-the circle by the second order, so that the energy of good steps rises for a while.
+It begins with the contacts that a torque of this sign closes, linear and without clearance; a drive begins where its
+parts touch, and its steps are shortened (`touching`). Then full steps; only after twenty without a new lowest energy a
+case returns to its best point and searches the line from there (its slope is monotone, because the energy is convex).
+An immediate search fails where a journal slides round its clearance: it leaves the circle by the second order, so that
+the energy of good steps rises for a while.
 
-A block has a fixed number of places. Once a quarter of its cases is done, waiting cases replace them, so that slow
+A block has a fixed number of places. Once half of its cases are done, waiting cases replace them, so that slow
 cases do not delay the others. The last cases of a wide block, as a GPU has it, go on in a narrow one from their best
 points: of a thousand equilibria at 3 % of the rated torque one takes 120 points, but half of all take 9.
 """
 
 import functools
+from collections.abc import Iterator
 from typing import NamedTuple, TypeVar
 
 import jax
@@ -27,6 +29,7 @@ from rvjax.loaded.system import (
     Contacts,
     Held,
     Layout,
+    Limits,
     Pressed,
     System,
     depths,
@@ -34,11 +37,12 @@ from rvjax.loaded.system import (
     energy,
     gradient,
     held,
-    limited,
+    largest_depths,
     pressed_joints,
     pressed_pins,
     typical_joint_slopes,
 )
+from rvjax.loaded.touching import shortened, touching
 
 Tree = TypeVar("Tree")
 
@@ -143,7 +147,7 @@ def _round(layout: Layout, system: System, tour: _Tour, width: int, last: int = 
                 lambda: (begin, jnp.zeros((width,), jnp.int32)),
             )
             steps = steps + more
-        return index, part, _begin(part, begin, taken, steps)
+        return index, part, _begin(layout, part, begin, taken, steps)
 
     def unfinished(block: _Block) -> jax.Array:
         return (jnp.sum(block.state.phase.open) > last) | (block.next < many)
@@ -155,8 +159,8 @@ def _round(layout: Layout, system: System, tour: _Tour, width: int, last: int = 
         following = block.next + jnp.sum(free, dtype=jnp.int32)
         index, part, fresh = seated(turn, free)
         state = jax.tree.map(lambda new, old: jnp.where(free, new, old), fresh, block.state)
-        # A refill waits for a quarter of the places; without a queue all cases but the last run to their end.
-        leave = jnp.where(following < many, 3 * width // 4, last).astype(jnp.int32)
+        # A refill waits for half of the places; without a queue all cases but the last run to their end.
+        leave = jnp.where(following < many, width // 2, last).astype(jnp.int32)
         state = _iterate(layout, part, state, leave, again)
         # Cases that are still open are written, too: their last values come later. Places without a case write nothing.
         found = jax.tree.map(
@@ -177,10 +181,14 @@ def _round(layout: Layout, system: System, tour: _Tour, width: int, last: int = 
     return _Tour(tour.number + 1, lost, tour.start, found)
 
 
-def _begin(s: System, start: jax.Array, seated: jax.Array, steps: jax.Array) -> State:
-    """At the start that is given; where that is NaN at zero, before the linear step."""
+def _begin(layout: Layout, s: System, start: jax.Array, seated: jax.Array, steps: jax.Array) -> State:
+    """At the start that is given. Where that is NaN, a drive where its parts touch, others at zero before the linear
+    step."""
     warm = jnp.all(jnp.isfinite(start), axis=0)
-    return begun(jnp.where(warm[None], start, 0), seated, ~warm & (s.load != 0), steps)
+    drive = not layout.links
+    other = stored(functools.partial(touching, layout), s) if drive else jnp.zeros_like(start)
+    cold = ~warm & (s.load != 0) & (not drive)
+    return begun(jnp.where(warm[None], start, other), seated, cold, steps)
 
 
 def _found(state: State) -> Minimum:
@@ -199,6 +207,7 @@ class _Shared(NamedTuple):
     stiffest: jax.Array  # (l,) of all springs, N/m
     widest: jax.Array  # (l,) of all gaps, m
     slack: jax.Array  # () factor on the largest gradient of a minimum
+    most: Limits  # computed once: each is an exponential
 
 
 def _shared(layout: Layout, s: System, again: jax.Array) -> _Shared:
@@ -216,6 +225,7 @@ def _shared(layout: Layout, s: System, again: jax.Array) -> _Shared:
         widest=_most(pins.gap, s.joints.gap, s.bearings.gap),
         # A body sums up to some ten contacts, each with its rounding: a case above that after 80 steps stays there.
         slack=jnp.where(again, 8.0, 1.0).astype(pins.gap.dtype),
+        most=stored(lambda s: largest_depths(layout, s), s),
     )
 
 
@@ -231,6 +241,8 @@ def _iterate(layout: Layout, s: System, state: State, leave: jax.Array, again: j
         g = stored(lambda q, at: gradient(layout, s, q, at), q, at)
         square = stored(lambda at, at_rest: hessian(layout, s, at, at_rest), at, of.at_rest)
         newton = stored(lambda square, g: -solve(layout, square, g), square, g)
+        if not layout.links:
+            newton = stored(functools.partial(shortened, layout, s), q, at, newton)
         merit = stored(functools.partial(_merit, of), q, state.step, cold, at, g, newton)
         rows = stored(lambda rows, at, limit: Rows.of(decided(rows.element, at, limit)), state.rows, merit, limit)
         q, best, step = stored(lambda state, newton, rows: onward(state, newton, rows.element), state, newton, rows)
@@ -277,11 +289,11 @@ def _started(at: Pressed, slope: jax.Array, cold: jax.Array) -> Pressed:
 def _merit(
     of: _Shared, q: jax.Array, step: jax.Array, cold: jax.Array, at: Contacts, g: jax.Array, newton: jax.Array
 ) -> Merit:
-    value, eps = energy(of.layout, of.s, q, at), float(jnp.finfo(q.dtype).eps)
+    value, eps = energy(of.layout, of.s, q, at, of.most), float(jnp.finfo(q.dtype).eps)
     size, miss = _most(at.pins.force, at.joints.force, at.bearings.force), _most(g)
     rounding = 2 * eps * (of.stiffest * jnp.maximum(of.widest, _most(q)))
     on_discs = [at.joints.force[part] for group, part in of.layout.parts(of.layout.joints) if group.discs]
-    over = [_any(depth >= limit) for limit, depth in limited(of.layout, of.s, at.pins.depth, at.joints.depth)]
+    over = [_any(depth >= limit) for depth, limit in _limited(of, at)]
     return Merit(
         energy=value,
         miss=miss,
@@ -293,6 +305,15 @@ def _merit(
         fine=jnp.isfinite(value) & folded(jnp.isfinite(newton), 0, by=jnp.logical_and),
         over=functools.reduce(jnp.logical_or, over, jnp.zeros_like(cold)),
     )
+
+
+def _limited(of: _Shared, at: Contacts) -> Iterator[tuple[jax.Array, jax.Array]]:
+    """Depths of the contacts whose law has a largest depth, and that depth."""
+    if of.most.pins is not None:
+        yield at.pins.depth, of.most.pins
+    for group, part in of.layout.parts(of.layout.joints):
+        if group.law == "hertz":
+            yield at.joints.depth[part], of.most.joints[part]
 
 
 def _any(marks: jax.Array) -> jax.Array:

@@ -141,6 +141,13 @@ class Held(NamedTuple):
     energy: jax.Array  # (b, l)
 
 
+class Limits(NamedTuple):
+    """Largest depths of the hertz contact law, m; None without it."""
+
+    pins: Any  # (d, p, l)
+    joints: Any  # (j, l), read for groups of this law
+
+
 class Contacts(NamedTuple):
     """Every contact at q."""
 
@@ -220,7 +227,7 @@ def pressed_pins(layout: Layout, s: System, depth: jax.Array) -> Pressed:
 def pressed_joints(layout: Layout, s: System, depth: jax.Array) -> Pressed:
     """Joints at their depths (j, l), each by the contact law of its group."""
     forces, slopes = [], []
-    for law, part, compliance, level in _groups(layout, s):
+    for law, part, compliance, level in groups(layout, s):
         forces.append(laws.force(law, depth[part], compliance, level))
         slopes.append(laws.slope(law, depth[part], forces[-1], compliance))
     return Pressed(depth, _joined(forces), _joined(slopes))
@@ -229,24 +236,23 @@ def pressed_joints(layout: Layout, s: System, depth: jax.Array) -> Pressed:
 def typical_joint_slopes(layout: Layout, s: System) -> jax.Array:
     """Slopes (j, l) where half of the joints carries the load, with the mean of their levers."""
     force = (jnp.abs(s.load) / (jnp.sum(jnp.abs(s.joints.lever), axis=0) / 2))[None]
-    return _joined([laws.typical_slope(law, force, k, level) for law, _, k, level in _groups(layout, s)])
+    return _joined([laws.typical_slope(law, force, k, level) for law, _, k, level in groups(layout, s)])
 
 
-def limited(layout: Layout, s: System, pins: jax.Array, joints: jax.Array) -> list[tuple[jax.Array, jax.Array]]:
-    """Largest depths of the hertz contact law, each with the values of these pins or joints.
+def largest_depths(layout: Layout, s: System) -> Limits:
+    """Largest depths of the contact laws.
 
     Args:
         layout: counts and methods.
         s: the system, batch axis last.
-        pins: any values of the pins (d, p, l).
-        joints: any values of the joints (j, l).
     """
-    limits = [(laws.largest_depth(s.pins.compliance[None], s.pins.level), pins)] if layout.law == "hertz" else []
-    hertz = [(part, k, level) for law, part, k, level in _groups(layout, s) if law == "hertz"]
-    return limits + [(laws.largest_depth(k, level), joints[part]) for part, k, level in hertz]
+    pins = laws.largest_depth(s.pins.compliance[None], s.pins.level) if layout.law == "hertz" else None
+    hertz = [law == "hertz" for law, *_ in groups(layout, s)]
+    joints = laws.largest_depth(s.joints.compliance, s.joints.level) if any(hertz) else None
+    return Limits(pins, joints)
 
 
-def _groups(layout: Layout, s: System) -> Iterator[tuple[str, slice, jax.Array, Any]]:
+def groups(layout: Layout, s: System) -> Iterator[tuple[str, slice, jax.Array, Any]]:
     """Contact law, place among all joints, compliance and level of each group."""
     for group, part in layout.parts(layout.joints):
         yield group.law, part, s.joints.compliance[part], None if s.joints.level is None else s.joints.level[part]
@@ -274,11 +280,14 @@ def gradient(layout: Layout, s: System, q: jax.Array, at: Contacts | None = None
     return total + _product(rows.reshape(-1, *rows.shape[2:]), at.bearings.force.reshape(-1, q.shape[-1]))
 
 
-def energy(layout: Layout, s: System, q: jax.Array, at: Contacts) -> jax.Array:
+def energy(layout: Layout, s: System, q: jax.Array, at: Contacts, most: Limits) -> jax.Array:
     """Energy (l,) J, Eq. 21."""
-    pins = folded(laws.energy(layout.law, *at.pins[:2], s.pins.compliance[None], s.pins.level), 0, 1)
+    pins = folded(laws.energy(layout.law, *at.pins[:2], s.pins.compliance[None], most.pins), 0, 1)
     depth, force, _ = at.joints
-    joints = [laws.energy(law, depth[part], force[part], k, level) for law, part, k, level in _groups(layout, s)]
+    joints = [
+        laws.energy(law, depth[part], force[part], k, None if most.joints is None else most.joints[part])
+        for law, part, k, _ in groups(layout, s)
+    ]
     support = folded((s.support + s.centring[None]) * q * q, 0) / 2 + s.load * q[layout.carried]
     return pins + folded(at.bearings.energy, 0) + folded(_joined(joints), 0) + support
 
