@@ -45,6 +45,14 @@ def test_force_slope_and_energy_belong_together(law):
 
 
 @pytest.mark.parametrize("law", laws.CONTACTS)
+def test_depth_of_a_force(law):
+    """It is the inverse of the force, and 0 without one."""
+    compliance, level = (None if x is None else jnp.asarray(x) for x in CASES[law])
+    load = jnp.concatenate([found(law, DEPTH)[0], jnp.zeros(1)])
+    np.testing.assert_allclose(laws.depth(law, load, compliance, level), [*DEPTH, 0], rtol=1e-13)
+
+
+@pytest.mark.parametrize("law", laws.CONTACTS)
 def test_single_precision(law):
     single = found(law, np.asarray(DEPTH, np.float32))
     for one, double in zip(single, found(law, DEPTH)):
