@@ -308,7 +308,7 @@ def _merit(
 
 
 def _limited(of: _Shared, at: Contacts) -> Iterator[tuple[jax.Array, jax.Array]]:
-    """Depths of the contacts whose law has a largest depth, and that depth."""
+    """Depths of the contacts whose contact law has a largest depth, and that depth."""
     if of.most.pins is not None:
         yield at.pins.depth, of.most.pins
     for group, part in of.layout.parts(of.layout.joints):

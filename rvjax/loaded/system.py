@@ -145,7 +145,7 @@ class Limits(NamedTuple):
     """Largest depths of the hertz contact law, m; None without it."""
 
     pins: Any  # (d, p, l)
-    joints: Any  # (j, l), read for groups of this law
+    joints: Any  # (j, l), read for groups of this contact law
 
 
 class Contacts(NamedTuple):
