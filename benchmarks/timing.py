@@ -17,6 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from rvjax.cli import xla_flags
 from rvjax.levels.measure import alternate as in_turn, compiled, machine
 
 __all__ = ["alternate", "arguments", "c_library", "compiled", "machine", "publish", "settings"]
@@ -30,11 +31,7 @@ def alternate(candidates: dict[str, Callable[[], Any]], **limits: Any) -> dict[s
 
 def settings() -> None:
     """Settings of every benchmark: float64, the command line's flags of XLA and memory. Call before JAX is used."""
-    flags = ["--xla_disable_hlo_passes=tree_reduction_rewriter"]
-    flags += ["--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=8000000"]
-    if "avx512f" in (Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else ""):
-        flags.append("--xla_cpu_prefer_vector_width=512")
-    os.environ["XLA_FLAGS"] = " ".join([os.environ.get("XLA_FLAGS", ""), *flags]).strip()
+    os.environ["XLA_FLAGS"] = " ".join([os.environ.get("XLA_FLAGS", ""), *xla_flags()]).strip()
     import rvjax
     from rvjax._jax.programs import keep_memory
 

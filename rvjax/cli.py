@@ -5,6 +5,7 @@ Bad input ends with one line on standard error and exit code 2; a study without 
 """
 
 import argparse
+import contextlib
 import dataclasses
 import gc
 import inspect
@@ -178,14 +179,9 @@ def _prepare(*, gpu: bool = False) -> None:
     Args:
         gpu: units may go to a GPU. All else stays on the processor, if there is one among the platforms of JAX.
     """
-    # XLA prefers 256-bit vectors; 512-bit ones are up to 1.8 times as fast where they exist. It stores what a long sum
-    # adds up and sums that in stages; in one pass a gradient of means takes two thirds of the time. It starts every
-    # kernel of a loop on its own, unless the loop is small: as one function, a loaded unit takes half of the time.
-    flags = ["--xla_disable_hlo_passes=tree_reduction_rewriter"]
-    flags += ["--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=8000000"]
-    flags += ["--xla_cpu_prefer_vector_width=512"] if _has_avx512() else []
     given = os.environ.get("XLA_FLAGS", "")
-    os.environ["XLA_FLAGS"] = " ".join([given, *(flag for flag in flags if flag.split("=")[0] not in given)]).strip()
+    new = (flag for flag in xla_flags() if flag.split("=")[0] not in given)
+    os.environ["XLA_FLAGS"] = " ".join([given, *new]).strip()
     for stream in (sys.stdout, sys.stderr):  # a name with an umlaut is no error on an ASCII terminal
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
@@ -215,8 +211,13 @@ def _prepare(*, gpu: bool = False) -> None:
     programs.keep_memory()
 
 
-def _has_avx512() -> bool:
-    try:
-        return "avx512f" in Path("/proc/cpuinfo").read_text()
-    except OSError:
-        return False
+def xla_flags() -> list[str]:
+    """Flags of XLA of the command line and the benchmarks."""
+    # It stores what a long sum adds up and sums that in stages; in one pass a gradient of means takes two thirds of the
+    # time. It starts every kernel of a loop on its own, unless the loop is small: as one function, a loaded unit takes
+    # half of the time. It prefers 256-bit vectors; 512-bit ones are up to 1.8 times as fast where they exist.
+    flags = ["--xla_disable_hlo_passes=tree_reduction_rewriter"]
+    flags += ["--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=8000000"]
+    with contextlib.suppress(OSError):
+        flags += ["--xla_cpu_prefer_vector_width=512"] if "avx512f" in Path("/proc/cpuinfo").read_text() else []
+    return flags

@@ -50,6 +50,8 @@ def test_depth_of_a_force(law):
     compliance, level = (None if x is None else jnp.asarray(x) for x in CASES[law])
     load = jnp.concatenate([found(law, DEPTH)[0], jnp.zeros(1)])
     np.testing.assert_allclose(laws.depth(law, load, compliance, level), [*DEPTH, 0], rtol=1e-13)
+    strong = laws.depth(law, jnp.geomspace(1e3, 1e15, 50), compliance, level)
+    assert (np.diff(strong) > 0).all()  # beyond the largest depth, too
 
 
 @pytest.mark.parametrize("law", laws.CONTACTS)

@@ -142,7 +142,7 @@ def balance(layout: Layout, system: System, start: jax.Array) -> Minimum:
     Args:
         layout: counts and methods.
         system: the case.
-        start: (n,), NaN: the linear step of `newton`, or inf: nothing is solved.
+        start: (n,), NaN: none, see `newton`, or inf: nothing is solved.
     """
     return in_lanes(minimise, layout, Minimum.shapes)(system, start)
 

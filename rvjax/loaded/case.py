@@ -9,7 +9,7 @@ An equilibrium, from the call to the result:
      5      found = balance(layout, case.system, start)        without derivatives, in a `BatchedKernel`: a primitive
      6          for each block of waiting cases:               that is traced when the program is lowered, and whose
      7              while a case is open:                      batch axis joins all levels of `jax.vmap`
-     8                  contacts, gradient and Hessian at q, Newton's step from there
+     8                  contacts, gradient and Hessian at q, Newton's step from there, of a drive `shortened`
      9                  rows = decided(rows, merit), q = onward(..)        full step, or a point of a line
     10      q = at_output(layout, case, found, status)         dq = -H^-1 d(grad E): its `custom_jvp`, two kernels more
     11      pins, joints, bearings = forces(layout, case.system, q)        a `BatchedKernel`, too
@@ -234,7 +234,7 @@ def solve(layout: Layout, read: Read, case: Case, start: jax.Array) -> tuple[Min
         layout: counts and methods.
         read: finite and possible numbers.
         case: the case.
-        start: (n,), or NaN: the linear step.
+        start: (n,), or NaN: none.
     """
     minimum = balance(layout, case.system, jnp.where(read.gate.good, start, jnp.inf))
     return minimum, _status(layout, read, case, minimum)

@@ -299,7 +299,7 @@ def equilibria(
         torques: of the discs on the carrier, (t,) N m, or (n, t) where every angle has its own.
         input_angles: of the sun, (n,) rad, constants.
         take: from each equilibrium, with its derivatives.
-        start: displacements (n, t, unknowns) to start from; NaN or None: the linear step, or those at the angle before.
+        start: displacements (n, t, unknowns) to start from; NaN or None: none, or those at the angle before.
         near: start from the angle before, because the crank angle differs little; or (n,) whether each does.
     """
     none = jnp.full((torques.shape[-1], layout.unknowns), jnp.nan, torques.dtype)

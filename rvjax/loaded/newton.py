@@ -1,10 +1,10 @@
 """The minimum of the energy: Newton's method for many cases at once, batch axis last.
 
 It begins with the contacts that a torque of this sign closes, linear and without clearance; a drive begins where its
-parts touch, and its steps are shortened (`touching`). Then full steps; only after twenty without a new lowest energy a
-case returns to its best point and searches the line from there (its slope is monotone, because the energy is convex).
-An immediate search fails where a journal slides round its clearance: it leaves the circle by the second order, so that
-the energy of good steps rises for a while.
+parts touch, and its steps are shortened (`touching`). Then full steps; only after eight, of a drive twenty, without a
+new lowest energy a case returns to its best point and searches the line from there (its slope is monotone, because the
+energy is convex). An immediate search fails where a journal slides round its clearance: it leaves the circle by the
+second order, so that the energy of good steps rises for a while.
 
 A block has a fixed number of places. Once half of its cases are done, waiting cases replace them, so that slow
 cases do not delay the others. The last cases of a wide block, as a GPU has it, go on in a narrow one from their best
@@ -24,7 +24,7 @@ from rvjax._jax.sizes import EQUILIBRIA
 from rvjax.loaded import laws
 from rvjax.loaded.hessian import Frame, frame, hessian, solve
 from rvjax.loaded.interior import approach
-from rvjax.loaded.line_search import Merit, Rows, State, begun, decided, onward
+from rvjax.loaded.line_search import OF_DRIVES, PATIENCE, Merit, Rows, State, begun, decided, onward
 from rvjax.loaded.system import (
     Contacts,
     Held,
@@ -95,7 +95,7 @@ def minimise(layout: Layout, system: System, start: jax.Array) -> Minimum:
     Args:
         layout: counts and methods.
         system: leaves (cases or 1, ...).
-        start: (cases or 1, n); NaN for the linear start, inf for a case that is not solved.
+        start: (cases or 1, n); NaN for none, inf for a case that is not solved.
     """
     cases = max(len(leaf) for leaf in jax.tree.leaves((system, start)))
     if layout.law != "linear":
@@ -232,6 +232,7 @@ def _shared(layout: Layout, s: System, again: jax.Array) -> _Shared:
 def _iterate(layout: Layout, s: System, state: State, leave: jax.Array, again: jax.Array) -> State:
     """Steps of all open cases until no more than `leave` are open; `again`: in the second round."""
     limit, of = jnp.where(again, MAX_STEPS, DIRECT), _shared(layout, s, again)
+    patience = PATIENCE if layout.links else OF_DRIVES
 
     def body(state: State) -> State:
         q, cold = state.q, state.phase.cold
@@ -241,10 +242,13 @@ def _iterate(layout: Layout, s: System, state: State, leave: jax.Array, again: j
         g = stored(lambda q, at: gradient(layout, s, q, at), q, at)
         square = stored(lambda at, at_rest: hessian(layout, s, at, at_rest), at, of.at_rest)
         newton = stored(lambda square, g: -solve(layout, square, g), square, g)
+        size = stored(lambda at: _most(at.pins.force, at.joints.force, at.bearings.force), at)
         if not layout.links:
-            newton = stored(functools.partial(shortened, layout, s), q, at, newton)
-        merit = stored(functools.partial(_merit, of), q, state.step, cold, at, g, newton)
-        rows = stored(lambda rows, at, limit: Rows.of(decided(rows.element, at, limit)), state.rows, merit, limit)
+            newton = stored(functools.partial(shortened, layout, s), q, at, size, newton)
+        merit = stored(functools.partial(_merit, of), q, state.step, cold, at, size, g, newton)
+        rows = stored(
+            lambda rows, at, limit: Rows.of(decided(rows.element, at, limit, patience)), state.rows, merit, limit
+        )
         q, best, step = stored(lambda state, newton, rows: onward(state, newton, rows.element), state, newton, rows)
         return State(q, best, step, rows)
 
@@ -287,10 +291,17 @@ def _started(at: Pressed, slope: jax.Array, cold: jax.Array) -> Pressed:
 
 
 def _merit(
-    of: _Shared, q: jax.Array, step: jax.Array, cold: jax.Array, at: Contacts, g: jax.Array, newton: jax.Array
+    of: _Shared,
+    q: jax.Array,
+    step: jax.Array,
+    cold: jax.Array,
+    at: Contacts,
+    size: jax.Array,
+    g: jax.Array,
+    newton: jax.Array,
 ) -> Merit:
     value, eps = energy(of.layout, of.s, q, at, of.most), float(jnp.finfo(q.dtype).eps)
-    size, miss = _most(at.pins.force, at.joints.force, at.bearings.force), _most(g)
+    miss = _most(g)
     rounding = 2 * eps * (of.stiffest * jnp.maximum(of.widest, _most(q)))
     on_discs = [at.joints.force[part] for group, part in of.layout.parts(of.layout.joints) if group.discs]
     over = [_any(depth >= limit) for depth, limit in _limited(of, at)]

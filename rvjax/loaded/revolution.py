@@ -63,7 +63,7 @@ def instants(
         read: finite and possible numbers; its torque and angle are not read.
         torques: of the discs on the carrier, (n,) N m.
         input_angles: of the sun, (n,) rad.
-        before: (n,) instants that the start of each follows from: none (the linear step), the last, or the line through
+        before: (n,) instants that the start of each follows from: none, the last, or the line through
             the last two.
     """
 

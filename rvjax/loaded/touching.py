@@ -17,7 +17,7 @@ from rvjax.loaded.system import Contacts, Layout, System, depths, displaced, gro
 
 
 def touching(layout: Layout, s: System) -> jax.Array:
-    """Displacements (n, l) at which each disc touches one pin, and one of them a hole, as deep as the load presses.
+    """Displacements (n, l): every disc touches a pin, and one of them a hole, as deep as the share of the load presses.
 
     Args:
         layout: of a drive: its joints are the holes of the discs.
@@ -32,14 +32,14 @@ def touching(layout: Layout, s: System) -> jax.Array:
     pin_gap = s.pins.gap - laws.depth(layout.law, share[None], s.pins.compliance[None], s.pins.level)
     hole_gap = (s.joints.gap - laws.depth(law, share, compliance, level)).reshape(discs, carrier.shape[1], -1)
 
-    def first(depth: jax.Array, lever: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def first(depth: jax.Array, arm: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Rotation of each disc (d, l) that takes its deepest contact of this load to zero, and a mark of that one."""
-        rotations = jnp.where(lever * sign[None] < 0, depth / jnp.abs(lever), -jnp.inf)
+        rotations = jnp.where(arm * sign[None] < 0, depth / jnp.abs(arm), -jnp.inf)
         most = folded(rotations.swapaxes(0, 1), 0, by=jnp.maximum)
         return sign * most, (rotations == most[:, None]).astype(depth.dtype)
 
     def moved(contacts: jax.Array, *by: jax.Array) -> jax.Array:
-        """Changes of the depths (d, contacts, l) by x, y and rotation of the discs, as many as there are."""
+        """Changes of the depths (d, contacts, l) by x, y and, if it is there, the rotation of the discs."""
         return sum(contacts[:, a] * change[:, None] for a, change in enumerate(by))  # type: ignore[return-value]
 
     def marked(mark: jax.Array, values: jax.Array) -> jax.Array:
@@ -57,7 +57,7 @@ def touching(layout: Layout, s: System) -> jax.Array:
 
     rotation, pin = stored(first, pin_gap, lever)
     _, hole = stored(first, hole_gap + holes[:, 2] * rotation[:, None], carrier)
-    x, y = stored(lambda pin, hole: centres(pin, hole), pin, hole)
+    x, y = stored(centres, pin, hole)
     rotation, _ = stored(lambda x, y: first(pin_gap + moved(pins, x, y), lever), x, y)
     turns, _ = first(hole_gap + moved(holes, x, y, rotation), carrier)
     output = sign * folded(sign * turns, 0, by=jnp.maximum)[None]
@@ -67,7 +67,7 @@ def touching(layout: Layout, s: System) -> jax.Array:
     return jnp.where(jnp.isfinite(q) & (sign != 0), q, 0)
 
 
-def shortened(layout: Layout, s: System, q: jax.Array, at: Contacts, step: jax.Array) -> jax.Array:
+def shortened(layout: Layout, s: System, q: jax.Array, at: Contacts, size: jax.Array, step: jax.Array) -> jax.Array:
     """The step (n, l), ended where a contact that it closes would carry the load, or the largest force of now, alone.
 
     Args:
@@ -75,22 +75,10 @@ def shortened(layout: Layout, s: System, q: jax.Array, at: Contacts, step: jax.A
         s: the system.
         q: the point (n, l).
         at: its contacts.
-        step: from there (n, l).
+        size: their largest force (l,) N.
+        step: from the point (n, l).
     """
-    force = stored(functools.partial(_largest_force, s), at)
-    return stored(functools.partial(_share, layout, s), q, at, step, force)[None] * step
-
-
-def _largest_force(s: System, at: Contacts) -> jax.Array:
-    """Of all contacts and the load, (l,) N."""
-    forces = (at.pins.force, at.joints.force, jnp.abs(at.bearings.force))
-    return functools.reduce(
-        jnp.maximum, [folded(force, *range(force.ndim - 1), by=jnp.maximum) for force in forces], jnp.abs(s.load)
-    )
-
-
-def _share(layout: Layout, s: System, q: jax.Array, at: Contacts, step: jax.Array, force: jax.Array) -> jax.Array:
-    """Share of a step up to its end (l,)."""
+    force = jnp.maximum(size, jnp.abs(s.load))
     moved, (turned, dw) = depths(layout, s, step, False), displaced(s, step, False)
     deep = laws.depth(layout.law, force[None, None], s.pins.compliance[None], s.pins.level)
     excess = [folded(_excess(at.pins.depth, moved, deep), 0, 1, by=jnp.maximum)]
@@ -103,7 +91,7 @@ def _share(layout: Layout, s: System, q: jax.Array, at: Contacts, step: jax.Arra
     square, along, change = (x[:, 0] * y[:, 0] + x[:, 1] * y[:, 1] for x, y in ((w, w), (w, dw), (dw, dw)))
     room = jnp.maximum(reach * reach, 4 * square) - square
     excess.append(folded((along + jnp.sqrt(along * along + room * change)) / room, 0, by=jnp.maximum))
-    return jnp.where(force > 0, 1 / functools.reduce(jnp.maximum, excess, jnp.ones_like(force)), 1)
+    return jnp.where(force > 0, 1 / functools.reduce(jnp.maximum, excess, jnp.ones_like(force)), 1)[None] * step
 
 
 def _excess(depth: jax.Array, change: jax.Array, deepest: jax.Array) -> jax.Array:
