@@ -25,7 +25,7 @@ from rvjax.outputs import Reading  # noqa: E402
 from rvjax.population import Population, root_key  # noqa: E402
 from rvjax.response import numbers_of, parts  # noqa: E402
 
-UNITS, ROUNDS = 1024, 5
+UNITS, ROUNDS = 4096, 5  # units: as many as a call of a response that is not costly computes
 LAWS = ("hertz", "linear")
 STUDIES = {"rv": "rv-40e-whole", "cycloidal": "cycloidal-17"}
 OUTPUTS = {

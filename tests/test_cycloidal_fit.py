@@ -13,7 +13,8 @@ from cycloidal_cases import NAMED, SAMPLES, design_of, dictionaries, drawn, erro
 from rvjax import CycloidalErrors, RVErrors, Status
 from rvjax.catalogue import RV_40E
 from rvjax.loaded import clearance, unchecked
-from rvjax.loaded.cycloidal_gaps import largest_gap, lines
+from rvjax.loaded.cycloidal_gaps import lines
+from rvjax.loaded.largest_gap import largest_gap
 from rvjax.units import um
 from tests.oracles import cycloidal as oracle
 

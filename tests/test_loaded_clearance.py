@@ -9,7 +9,7 @@ from scipy import optimize
 from rvjax import RVErrors, loaded, study
 from rvjax.catalogue import CORR, RV_40E
 from rvjax.loaded import unchecked
-from rvjax.loaded.geometry import highest
+from rvjax.loaded.largest_gap import Lines, largest_gap
 from rvjax.status import Status
 from rvjax.tolerances import allocate
 from rvjax.units import um
@@ -38,7 +38,7 @@ def test_the_highest_point_of_lines_is_that_of_a_linear_programme():
     rng = np.random.default_rng(3)
     gaps = rng.normal(0, 5 * um, (40, 80))
     levers = np.concatenate([rng.uniform(-0.05, 0.05, (40, 79)), np.zeros((40, 1))], axis=1)
-    found, left = jax.jit(jax.vmap(highest))(gaps, levers)
+    found, left = jax.jit(jax.vmap(largest_gap))(Lines(gaps[:, None], levers[:, None]))
     for gap, lever, value in zip(gaps, levers, found):
         rows = np.stack([np.ones(80), lever], axis=1)  # t + lever beta <= gap, most t
         due = optimize.linprog([-1, 0], A_ub=rows, b_ub=gap / um, bounds=[(None, None)] * 2)

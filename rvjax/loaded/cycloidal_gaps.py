@@ -5,13 +5,7 @@ distance of both axes in the holes alone would turn their forces while those of 
 input torque and output torque would no longer balance. Equation numbers: docs/models/single_stage.md.
 
 Fit: does the drive turn freely, or does it jam? The discs sit on their eccentrics, without clearance of the bearings.
-Every disc and the carrier are turned to where the least gap of all pins and holes is largest. At a gap s, the pins of
-disc k leave its rotation an interval [lo, hi], the holes leave its rotation against the carrier [lo', hi']. All ends
-are piecewise linear in s:
-
-    s is feasible if lo <= hi and lo' <= hi' for every disc, and max (lo - hi') <= min (hi - lo')
-
-The largest feasible s is the least root of concave falling functions, each exact in a few Newton steps from above.
+Every disc and the carrier are turned to where the least gap of all pins and holes is largest.
 """
 
 from typing import NamedTuple
@@ -20,10 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.kernels import fori_loop
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.flank import Ground
-from rvjax.loaded.geometry import Geometry, Turn, geometry, highest, pin_depths
+from rvjax.loaded.geometry import Geometry, Turn, geometry, pin_depths
+from rvjax.loaded.largest_gap import STEPS, Lines, largest_gap
 from rvjax.records import Scalar, promote
 from rvjax.status import SolveInfo, Status, admit, converged
 
@@ -155,17 +149,8 @@ def drive_rows(design: CycloidalReducer, unknowns: Unknowns, at: Drive) -> Drive
     return DriveRows(jnp.stack([-normal_x, -normal_y, at.ring.lever / design.output.circle_radius]), holes, bearings)
 
 
-STEPS = 10  # from corner to corner
-ROUNDING = 1e3  # of levers, in units of the last place
 UNREAD = ("bearing_clearance", "support_clearance")
 """Errors that do not change the fit."""
-
-
-class Lines(NamedTuple):
-    """Gaps that change linearly with a rotation: gap - lever rotation; a row for each disc, (d, n)."""
-
-    gap: jax.Array  # m
-    lever: jax.Array  # m, > 0 and < 0 in every row
 
 
 def gaps_of_turn(
@@ -222,65 +207,3 @@ def lines(design: CycloidalReducer, errors: CycloidalErrors, input_angle: jax.Ar
     holes = depth.holes + b.cosine[:, None] * x + b.sine[:, None] * y
     arm = jnp.asarray(design.output.circle_radius * there.swing.sine)
     return Lines(-pins, there.ring.lever), Lines(-holes, arm)
-
-
-def largest_gap(pins: Lines, holes: Lines) -> tuple[jax.Array, jax.Array]:
-    """Largest least gap over the rotations of all discs and of the carrier, and its distance from a lower bound; () m.
-
-    Args:
-        pins: gaps over the rotation of each disc.
-        holes: gaps over the rotation of each disc against the carrier.
-    """
-    alone = [jax.vmap(highest)(*each) for each in (pins, holes)]
-    bounds, left = (jnp.stack(each) for each in zip(*alone))  # (2, d)
-    most = jnp.min(bounds)
-    if pins.gap.shape[0] == 1:  # the carrier follows its one disc
-        return most, jax.lax.stop_gradient(most) - jnp.min(jax.lax.stop_gradient(bounds) - left)
-    still = jax.lax.stop_gradient((pins, holes))
-    start = jax.lax.stop_gradient(most)
-
-    def lower(_: int, s: jax.Array) -> jax.Array:
-        room, root = _carrier(*still, s)
-        return jnp.where(room < 0, jnp.minimum(root, s), s)
-
-    s = fori_loop(0, STEPS, lower, start)
-    crossing = jnp.where(s < start, _carrier(pins, holes, s)[1], most)
-    return crossing, jax.lax.stop_gradient(crossing) - _least(*still, s)
-
-
-def _ends(of: Lines, s: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Rotations up to which each gap is at least s: forwards, and backwards with the sign changed; (d, n) rad.
-
-    A pin on the line of centres has no lever but that of rounding, and bounds s alone.
-    """
-    over, least = of.gap - s, ROUNDING * jnp.finfo(s.dtype).eps * jnp.max(jnp.abs(of.lever))
-    up, down = of.lever > least, of.lever < -least
-    forwards = jnp.where(up, over / jnp.where(up, of.lever, 1), jnp.inf)
-    return forwards, jnp.where(down, over / jnp.where(down, -of.lever, 1), jnp.inf)
-
-
-def _carrier(pins: Lines, holes: Lines, s: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Interval of the carrier between all discs at s, () rad, and the s at which its bounds meet, () m."""
-    (pin_up, pin_down), (hole_up, hole_down) = (_ends(jax.lax.stop_gradient(each), s) for each in (pins, holes))
-    room, gaps, slopes = (jnp.zeros_like(s) for _ in range(3))
-    for one, other in (((pin_up, pins), (hole_down, holes)), ((hole_up, holes), (pin_down, pins))):
-        each = jnp.min(one[0], axis=1) + jnp.min(other[0], axis=1)
-        k = jnp.argmin(each)  # the disc that bounds the carrier on this side
-        room += each[k]
-        for ends, of in (one, other):
-            i = jnp.argmin(ends[k])
-            size = jnp.abs(of.lever[k, i])
-            gaps += of.gap[k, i] / size
-            slopes += 1 / size
-    return room, gaps / slopes
-
-
-def _least(pins: Lines, holes: Lines, s: jax.Array) -> jax.Array:
-    """Least gap with discs and carrier in the middle of what s leaves them, () m."""
-    (hi, down), (far, back) = (tuple(jnp.min(end, axis=1) for end in _ends(each, s)) for each in (pins, holes))
-    lo, near = -down, -back
-    carrier = (jnp.max(lo - far) + jnp.min(hi - near)) / 2
-    disc = (jnp.maximum(lo, carrier + near) + jnp.minimum(hi, carrier + far)) / 2
-    return jnp.minimum(
-        jnp.min(pins.gap - pins.lever * disc[:, None]), jnp.min(holes.gap - holes.lever * (disc - carrier)[:, None])
-    )

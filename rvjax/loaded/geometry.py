@@ -19,6 +19,7 @@ from rvjax.cycloidal import CycloidalErrors
 from rvjax.designs import CycloidStage, RVReducer
 from rvjax.errors import RVErrors
 from rvjax.flank import Ground, curvature, modified, profile
+from rvjax.loaded.largest_gap import STEPS, Lines, largest_gap
 from rvjax.records import Scalar, promote
 from rvjax.status import SolveInfo, Status, admit, converged
 
@@ -166,7 +167,6 @@ def flank_rounding(cycloid: CycloidStage, at: Geometry) -> jax.Array:
     return rr + rr * rr * bend
 
 
-STEPS = 8  # from corner to corner; 6 were the most of 40,000 random cases
 READ = (
     "eccentricity", "pin_circle_radius", "pin_radius", "pin_hole_clearance", "equidistant_modification",
     "shift_modification", "pin_offset", "pin_radii", "ring_centre", "disc_centre", "disc_pitch", "disc_profile",
@@ -217,31 +217,7 @@ def flanks(
 
     def at(j: jax.Array) -> tuple[jax.Array, jax.Array]:
         there = geometry(cycloid, cycloid.eccentricity + used.eccentricity, step * j / design.ratio)
-        return highest(-pin_depths(cycloid, used, there).ravel(), there.lever.ravel())
+        return largest_gap(Lines(-pin_depths(cycloid, used, there).reshape(1, -1), there.lever.reshape(1, -1)))
 
     least, left = jax.lax.map(at, jnp.arange(samples, dtype=k1.dtype))  # an angle of a batch stays in the cache
     return gate.close((jnp.min(least), least), (sharp, Status.UNDERCUT), info=converged(jnp.max(left), STEPS))
-
-
-def highest(gap: Scalar, lever: Scalar) -> tuple[jax.Array, jax.Array]:
-    """Largest over beta of the least gap - lever * beta, and the distance of a lower bound from it; () m.
-
-    The corner of two lines of opposite slope is an upper bound; the lowest line there replaces the one of its sign.
-
-    Args:
-        gap: (n,) m.
-        lever: (n,) m, some > 0 and some < 0.
-    """
-    gap, lever = jnp.asarray(gap), jnp.asarray(lever)
-    gaps, levers = (jax.lax.stop_gradient(x) for x in (gap, lever))
-    falling, rising = jnp.argmax(levers), jnp.argmin(levers)
-
-    def place() -> jax.Array:
-        return (gaps[falling] - gaps[rising]) / (levers[falling] - levers[rising])
-
-    for _ in range(STEPS):
-        low = jnp.argmin(gaps - levers * place())
-        falling, rising = jnp.where(levers[low] >= 0, low, falling), jnp.where(levers[low] < 0, low, rising)
-    across = lever[falling] - lever[rising]
-    value = (lever[falling] * gap[rising] - lever[rising] * gap[falling]) / across
-    return value, jax.lax.stop_gradient(value) - jnp.min(gaps - levers * place())
