@@ -109,7 +109,7 @@ def folder(tmp_path, monkeypatch):
         (["drive.toml", "a.csv", "--as", "sizes", "--damping", "1 N m s/rad"], "--damping: a.csv is a table of sizes"),
         (["drive.toml", "a.csv", "--as", "sizes", "--result", "no"], "no: there is no results folder"),
         (["drive.toml", "a.csv", "--as", "sizes", "--result", "other"], "other: is the result of another design"),
-        (["other.toml", "a.svg"], "geometry.outline: takes a design of kind"),
+        (["other.toml", "a.svg", "--disc", "1"], "disc = 1: must lie between 0 and 0"),
     ],
 )
 def test_bad_input_is_one_line_and_writes_nothing(folder, capsys, arguments, words):

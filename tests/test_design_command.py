@@ -286,5 +286,5 @@ def test_init_writes_a_study_with_variables(tmp_path, monkeypatch, capsys):
     made = study.load("mine.toml", solve=False)
     assert set(made.variables) == set(study.load("rv-40e-design", solve=False).variables)
     assert made.about.revision == "A" and "rvjax design" in (tmp_path / "mine.toml").read_text()
-    assert cli.main(["init", "other.toml", "--design", "--base", "rv-80e"]) == 2
-    assert "begins with rv-40e or a drive" in capsys.readouterr().err
+    assert cli.main(["init", "other.toml", "--design", "--base", "rv-80e", "--model", "four-bar"]) == 2
+    assert "of rv-40e alone; others are of the loaded reducer" in capsys.readouterr().err

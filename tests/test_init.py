@@ -11,6 +11,7 @@ import pytest
 from rvjax import catalogue, cli, study
 from rvjax.commands.allocate import shortfalls
 from rvjax.commands.init import written
+from rvjax.geometry import figures
 from rvjax.life import dynamic_rating, static_rating
 from rvjax.study.kinds import changed, number_at
 from rvjax.study.kinds.rv_facts import LAWS
@@ -242,6 +243,25 @@ def test_what_a_drawing_lacks_is_one_line(drawing, tmp_path, monkeypatch, capsys
     assert cli.main(["init", "mine.toml", "--base", "drawing.toml"]) == 2
     said = capsys.readouterr().err
     assert re.search(words, said) and len(said.splitlines()) == 1 and not (tmp_path / "mine.toml").exists()
+
+
+@pytest.mark.parametrize("base", ["rv-20e", "rv-40e-whole", "rv-80e", "rv-320e", "corr"])
+def test_a_study_with_variables_of_every_kind_begins_at_its_design(base):
+    """Bounds contain the number at the start; the limits without errors hold there; the space, or the cam, costs 10."""
+    made, plain = read(written(base, variables=True).text), read(written(base).text)
+    assert set(made.variables) >= {"cam_radius" if base == "corr" else "cycloid.pin_circle_radius"}
+    for path, variable in made.variables.items():
+        assert variable.lower < number_at(made.design, path) == variable.start < variable.upper, path
+    assert set(made.requirements) == set(plain.requirements) and made.conditions == plain.conditions
+    if base == "corr":
+        assert made.variables["cam_radius"].cost(135 * mm) == pytest.approx(10) and not made.nominal
+        return
+    found = figures(made.design)
+    assert float(made.objective["envelope_volume"](found.envelope_volume)) == pytest.approx(10, rel=0.03)
+    assert set(made.nominal) == {"convex_radius", "pin_gap", "crank_room", "envelope_diameter"}
+    for name, limits in made.nominal.items():
+        assert limits.lower < getattr(found, name) < limits.upper, name
+    assert made.nominal["envelope_diameter"].upper / found.envelope_diameter == pytest.approx(1.03, rel=5e-3)
 
 
 def test_commands(tmp_path, monkeypatch, unsolved, capsys):

@@ -344,7 +344,7 @@ def test_a_number_that_the_user_replaces_is_not_assumed(drawing):
 def test_a_study_with_variables_begins_at_its_design(drawing):
     """Bounds contain the number at the start; the space costs 5 there; limits without errors are 3/4 of it, by hand."""
     made = read(written(drawing(), process="wire-cut", variables=True).text)
-    assert set(made.variables) == set(drive_starts.VARIABLES) and set(made.objective) == {"envelope_volume"}
+    assert set(made.variables) == set(drive_starts.CHOICES.bounds) and set(made.objective) == {"envelope_volume"}
     for path, variable in made.variables.items():
         assert variable.lower < number_at(made.design, path) < variable.upper
     volume = np.pi * (42.5 * mm) ** 2 * 2 * made.design.contact.face_width

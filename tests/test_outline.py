@@ -15,8 +15,9 @@ import pytest
 from scipy.spatial import KDTree
 from scipy.special import ellipe
 
-from rvjax import CycloidalErrors, catalogue, geometry
+from rvjax import CycloidalErrors, catalogue, geometry, mesh_force
 from rvjax.designs import RollerBearing
+from rvjax.errors import CamRollerErrors
 from rvjax.plotting.drawings import flank
 from rvjax.units import mm, um
 
@@ -218,16 +219,71 @@ def test_points_for_jit_and_vmap():
     )
 
 
+def roller_centres(design, angle):
+    """Distances of roller centres from the axis on rays at angles from the y axis: cam and rollers as two links."""
+    z, e, link = design.gear_teeth, design.eccentricity, design.cam_radius + design.roller_radius
+    distance = e * np.cos(z * angle) + np.sqrt(link**2 - (e * np.sin(z * angle)) ** 2)
+    return distance * 1j * np.exp(-1j * angle)
+
+
+@pytest.mark.parametrize("chord", [20 * um, 2 * um])
+def test_the_inner_gear_of_a_roller_stage_is_parallel_to_the_path_of_its_rollers(chord):
+    """Counter-clockwise, with a tooth space on the y axis; normals into the material outside; convex tips."""
+    design = catalogue.CORR
+    found, r = geometry.outline(design, part="ring", chord=chord), design.roller_radius
+    t = np.linspace(0, 2 * np.pi, 400_001)[:-1]
+    centres = roller_centres(design, -t)
+    distance, nearest = KDTree(pairs(centres)).query(found.flank)
+    assert np.abs(distance - r).max() < 1e-9
+    flank, into = plane(found.flank), np.exp(1j * np.asarray(found.normal))
+    assert np.abs(flank - r * into - centres[nearest]).max() < 2e-6  # steps of t
+    assert np.all(np.diff(nearest) > 0) and (flank * np.conj(into)).real.min() > 0
+    assert flank[0] == pytest.approx(1j * (design.cam_radius + 2 * r + design.eccentricity), abs=1e-12)
+    radius = np.abs(flank)
+    assert np.sum((radius < np.roll(radius, 1)) & (radius <= np.roll(radius, -1))) == design.gear_teeth
+    bend = np.asarray(found.curvature)
+    assert bend[np.argmin(radius)] > 0 > bend[np.argmax(radius)]
+    chords, turned = np.roll(flank, -1) - flank, np.asarray(found.normal)
+    turn = (np.roll(turned, -1) - turned + np.pi) % (2 * np.pi) - np.pi
+    np.testing.assert_allclose(-turn / np.abs(chords), (bend + np.roll(bend, -1)) / 2, atol=0.05 * np.abs(bend).max())
+    along = np.roll(centres, -1) - np.roll(centres, 1)
+    true = centres - 1j * r * along / np.abs(along)  # the parallel line itself
+    place = np.searchsorted(nearest, np.arange(len(t)), side="right") - 1  # point before
+    begin, end = flank[place], np.roll(flank, -1)[place]
+    off = np.abs(((true - begin) * np.conj(end - begin)).imag) / np.abs(end - begin)
+    assert 0.5 * chord < off.max() < 1.01 * chord  # no more points than needed
+
+
+def test_the_other_parts_of_a_roller_stage():
+    errors = CamRollerErrors(cam_radius=3 * um)
+    cam = geometry.outline(catalogue.CORR, errors=errors)
+    assert [(c.name, c.x, c.y) for c in cam.circles] == [("cam", 0, 0)] and len(cam.flank) == 0
+    assert cam.circles[0].radius == pytest.approx(catalogue.CORR.cam_radius + 3 * um, abs=1e-15)
+    cage = geometry.outline(catalogue.CORR, part="carrier")
+    assert not cage.circles and cage.unknown == ("slots of the rollers", "outside of the cage")
+    ring = geometry.outline(catalogue.CORR, part="ring", errors=errors, points=8)
+    assert not ring.circles and len(ring.flank) == 8 * catalogue.CORR.gear_teeth
+
+    def longest(e):
+        design = catalogue.CORR.replace(eccentricity=e)
+        return geometry.outline(design, part="ring", points=8).flank[0, 1]
+
+    assert jax.grad(longest)(catalogue.CORR.eccentricity) == pytest.approx(1)
+
+
 def test_bad_input():
     design = DESIGNS["CYCLOIDAL_17"]
     sharp = design.replace(cycloid=design.cycloid.replace(pin_radius=8.5 * mm))
+    thick = catalogue.CORR.replace(roller_radius=1.01 * float(mesh_force.largest_roller_radius(catalogue.CORR)))
     wide = design.replace(output=design.output.replace(pin_radius=15 * mm))
     for call, words in (
         (lambda: geometry.outline(sharp), r"cut into the flank of the discs \(undercut\)"),
         (lambda: geometry.outline(wide), "OutputPins.pin_radius: holes of radius .* overlap from"),
         (lambda: geometry.outline(design, part="shaft"), "part = 'shaft'"),
         (lambda: geometry.outline(design, disc=2), "disc = 2: must lie between 0 and 1"),
-        (lambda: geometry.outline(catalogue.CORR), "geometry.outline: takes a design of kind"),
+        (lambda: geometry.outline(design.cycloid), "geometry.outline: takes a design of kind"),
+        (lambda: geometry.outline(catalogue.CORR, disc=1), "disc = 1: must lie between 0 and 0"),
+        (lambda: geometry.outline(thick, part="ring"), "roller_radius = .*: undercut of the inner gear from .* on"),
         (lambda: geometry.outline(design, chord=0.0), "chord = 0 m: must be positive"),
         (lambda: geometry.outline(design, points=0), "points = 0: a tooth needs at least 3"),
         (lambda: geometry.outline(design, chord=1e-16), "chord = 1e-16 m: too small"),

@@ -66,3 +66,13 @@ def test_a_damaged_array_is_computed_again(tmp_path):
     assert kept.recall({"what": "a"}, lambda: np.zeros(0)).tolist() == [0, 1, 2, 3]
     kept.clear()
     assert not kept.folder.exists()
+
+
+def test_other_responses_of_the_same_units_are_other_arrays(tmp_path):
+    kept, one, two = Memo(tmp_path / "part", {}, worth=0), np.ones(3), np.full(3, 2.0)
+    computed = {"a": one, "b": two}, np.zeros(3)
+    assert set(kept.units(("b",), {"first": "0"}, lambda: computed)[0]) == {"b"}
+    values, status = kept.units(("a", "b"), {"first": "0"}, lambda: computed)
+    assert values["a"].tolist() == [1, 1, 1] and values["b"].tolist() == [2, 2, 2] and status.dtype == np.int32
+    values, _ = kept.units(("b",), {"first": "0"}, lambda: pytest.fail("stored"))
+    assert values["b"].tolist() == [2, 2, 2]

@@ -35,6 +35,7 @@ from rvjax.study import (
     parse_study,
     quantity,
     subtable,
+    variable_tables,
     walk,
 )
 
@@ -78,7 +79,7 @@ class InitInputs(Inputs):
         default="",
     )
     design: bool = switch(
-        "a study for rvjax design: numbers of the design with bounds, prices and limits, of an RV-40E or a drive"
+        "a study for rvjax design: numbers of the design with bounds, prices and limits; of rv-40e the four-bar model"
     )
 
     def __post_init__(self) -> None:
@@ -140,8 +141,8 @@ def written(base: str, model: str = "loaded", process: str = "", *, variables: b
         variables: also tables of the numbers that `rvjax design` may choose.
 
     Raises:
-        ValueError: an unknown name, variables of an RV reducer, a process that such a reducer has not, or a file
-            that gives no reducer.
+        ValueError: an unknown name, variables of another four-bar model than that of rv-40e, a process that such a
+            reducer has not, or a file that gives no reducer.
     """
     given = known(base, process)
     starts = given.kind.starts
@@ -154,9 +155,9 @@ def written(base: str, model: str = "loaded", process: str = "", *, variables: b
     rest = start.tables(text[text.index("[conditions]") :], numbers, given)
     made = _joined(given, more, start, rest)
     if variables:
-        if start.variables is None:
-            raise ValueError(f"--design --base {base}: a study with variables begins with rv-40e or a drive")
-        choices, limits = start.variables(parse_study(made, name=given.name, solve=False).design)
+        if start.choices is None:
+            raise ValueError(f"--design --model {model}: of rv-40e alone; others are of the loaded reducer")
+        choices, limits = variable_tables(start.choices, parse_study(made, name=given.name, solve=False).design)
         made = made.replace("[conditions]", f"{choices}\n[conditions]", 1).replace("[run]", f"{limits}\n[run]", 1)
     return Written(made, model, given.name, _warnings(given, more))
 

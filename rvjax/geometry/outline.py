@@ -9,11 +9,15 @@ docs/models/single_stage.md, Eq. 3):
 u(t) is the direction of an angle, n the unit normal from the pin into the material, m the material of the profile
 modification. The first tooth space of disc 0 is at t = 0; the flank of disc k is turned by -k/nd of a tooth pitch
 against its holes.
+
+The flank of an oscillatory roller stage is that of its ring, the inner gear (docs/models/mesh_force.md, Eqs. 1 to 3),
+with a tooth space on the y axis; its disc is the cam.
 """
 
 import functools
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,10 +27,11 @@ from rvjax.base.words import choose
 from rvjax.bearings import RollingBearing
 from rvjax.catalogue import undercut
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
-from rvjax.designs import CycloidStage, RVReducer, expect
-from rvjax.errors import RVErrors
+from rvjax.designs import CamRollerReducer, CycloidStage, RVReducer, expect
+from rvjax.errors import CamRollerErrors, RVErrors
 from rvjax.flank import profile
-from rvjax.records import Array, Record, Scalar, concrete, field, promote, quantity, record, text
+from rvjax.geometry.inner_gear import largest_roller_radius, tooth_profile
+from rvjax.records import Array, PyTree, Record, Scalar, concrete, field, promote, quantity, record, text
 from rvjax.units import um
 
 PARTS = ("disc", "ring", "carrier")
@@ -56,16 +61,21 @@ class Outline(Record):
     unknown: tuple[str, ...] = text("features whose size the design does not have")
 
 
+Outlined = RVReducer | CycloidalReducer | CamRollerReducer
+Deviations = RVErrors | CycloidalErrors | CamRollerErrors
+Line = tuple[Array, Array, Array]  # points (n, 2), direction of the normal (n,), curvature (n,)
+
+
 def outline(
-    design: RVReducer | CycloidalReducer, *, part: str = "disc", disc: int = 0, chord: float = 1 * um,
-    errors: RVErrors | CycloidalErrors | None = None, points: int | None = None,
+    design: Outlined, *, part: str = "disc", disc: int = 0, chord: float = 1 * um,
+    errors: Deviations | None = None, points: int | None = None,
 ) -> Outline:  # fmt: skip
-    """Outline of a disc, the ring or the carrier.
+    """Outline of a disc, the ring or the carrier; of a roller stage the cam, the inner gear or the cage.
 
     The flank has derivatives to all numbers of the design, at fixed places of its points.
 
     Args:
-        design: cycloid stage; output pins or cranks; bearings.
+        design: cycloid stage; output pins or cranks; bearings. Or a roller stage.
         part: "disc", "ring" or "carrier".
         disc: number of the disc.
         chord: largest distance between the flank and the line through its points, m.
@@ -76,35 +86,66 @@ def outline(
     Raises:
         ValueError: a flank that crosses itself, holes that overlap, a number that is out of range, or another kind.
     """
-    expect(design, "geometry.outline", *_CIRCLES)
+    expect(design, "geometry.outline", *_KINDS)
+    kind = _KINDS[type(design)]
     choose("part", part, PARTS)
     if not chord > 0:
         raise ValueError(f"chord = {chord:g} m: must be positive")
     if points is not None and points < 3:
         raise ValueError(f"points = {points}: a tooth needs at least 3")
-    cycloid = design.cycloid
-    if not 0 <= disc < cycloid.disc_count:
-        raise ValueError(f"disc = {disc}: must lie between 0 and {cycloid.disc_count - 1}")
+    discs = kind.discs(design)
+    if not 0 <= disc < discs:
+        raise ValueError(f"disc = {disc}: must lie between 0 and {discs - 1}")
     given = design.error_record() if errors is None else errors
-    circles, unknown = _CIRCLES[type(design)](design, given, part, disc)
-    if part != "disc":
+    circles, unknown = kind.circles(design, given, part, disc)
+    if part != kind.toothed:
         return Outline(jnp.zeros((0, 2)), jnp.zeros(0), jnp.zeros(0), tuple(circles), tuple(unknown))
-    ground = cycloid.replace(
-        shortening=None, eccentricity=cycloid.eccentricity + given.eccentricity,
-        equidistant_modification=cycloid.equidistant_modification + given.equidistant_modification,
-        shift_modification=cycloid.shift_modification + given.shift_modification,
-    )  # fmt: skip
-    plain = jax.lax.stop_gradient(ground)  # its numbers, under `grad` too
+    flank, numbers, teeth = kind.flank(design, given, disc)
+    plain = jax.lax.stop_gradient(numbers)  # its numbers, under `grad` too
     traced = not concrete(*jax.tree.leaves(plain))
     if traced and points is None:
         raise ValueError("geometry.outline: a design that jit or vmap traces needs `points`")
-    if not traced and (lines := undercut(design.replace(cycloid=plain))):
+    if not traced and (lines := kind.undercut(design, plain)):
         raise ValueError(lines[0])
-    pitch = 2 * np.pi / cycloid.disc_teeth
-    t = _places(plain, chord) if points is None else pitch / points * np.arange(points * cycloid.disc_teeth)
+    if points is None:
+        t = _places(functools.partial(flank, plain), teeth, chord)
+    else:
+        t = 2 * np.pi / (points * teeth) * np.arange(points * teeth)
+    return Outline(*flank(numbers, jnp.asarray(t)), tuple(circles), tuple(unknown))
+
+
+Flank = tuple[Callable[..., Line], PyTree, int]
+"""The flank as a function of some numbers and the parameters of its points; these numbers; its teeth."""
+
+
+def _disc_flank(design: RVReducer | CycloidalReducer, errors: RVErrors | CycloidalErrors, disc: int) -> Flank:
+    cycloid = design.cycloid
+    ground = cycloid.replace(
+        shortening=None, eccentricity=cycloid.eccentricity + errors.eccentricity,
+        equidistant_modification=cycloid.equidistant_modification + errors.equidistant_modification,
+        shift_modification=cycloid.shift_modification + errors.shift_modification,
+    )  # fmt: skip
     turned = -2 * np.pi * disc / (cycloid.disc_count * cycloid.disc_teeth)
-    line, normal, curvature = flank_along(ground, t, turned)
-    return Outline(line, normal, curvature, tuple(circles), tuple(unknown))
+    return functools.partial(flank_along, turned=turned), ground, cycloid.disc_teeth
+
+
+def _of_gear(design: CamRollerReducer, errors: CamRollerErrors, disc: int) -> Flank:
+    return _gear_flank, design, design.gear_teeth
+
+
+def _gear_undercut(design: CamRollerReducer, numbers: CamRollerReducer) -> list[str]:
+    limit = float(largest_roller_radius(numbers))
+    if numbers.roller_radius < limit:
+        return []
+    size, most = quantity(numbers.roller_radius, "m"), quantity(limit, "m")
+    return [f"CamRollerReducer.roller_radius = {size}: undercut of the inner gear from {most} on"]
+
+
+@jax.jit
+def _gear_flank(design: CamRollerReducer, t: Array) -> Line:
+    """Flank of the inner gear at angles t from the y axis, counter-clockwise; its material is outside."""
+    found = jax.vmap(tooth_profile, in_axes=(None, 0))(design, -jnp.asarray(t))
+    return found.flank, jnp.pi / 2 - found.normal_angle, -found.flank_curvature
 
 
 def _flank_of(cycloid: CycloidStage, t: Array) -> Array:
@@ -125,7 +166,7 @@ def _flank_of(cycloid: CycloidStage, t: Array) -> Array:
 
 
 @jax.jit
-def flank_along(cycloid: CycloidStage, t: Scalar, turned: Scalar = 0.0) -> tuple[Array, Array, Array]:
+def flank_along(cycloid: CycloidStage, t: Scalar, turned: Scalar = 0.0) -> Line:
     """Points (n, 2) of a flank, undercut or not, direction of its normal (n,) and curvature (n,), turned by an angle.
 
     Args:
@@ -146,16 +187,15 @@ def flank_along(cycloid: CycloidStage, t: Scalar, turned: Scalar = 0.0) -> tuple
     return points, jnp.arctan2(dx, -dy) + turned, (dx * ddy - dy * ddx) / (dx * dx + dy * dy) ** 1.5
 
 
-def _places(cycloid: CycloidStage, chord: float) -> np.ndarray:
+def _places(flank: Callable[[Array], Line], teeth: int, chord: float) -> np.ndarray:
     """Parameters (n,) of points of all teeth: halved intervals, each short enough for its largest curvature.
 
     An arc of length s whose curvature is at most k leaves its chord by at most k s^2/8.
     """
-    teeth, count = cycloid.disc_teeth, _FIRST
-    pitch = 2 * np.pi / teeth
+    pitch, count = 2 * np.pi / teeth, _FIRST
     while True:
         t = pitch / count * np.arange(count + 1)
-        points, _, bend = (np.asarray(values) for values in flank_along(cycloid, t))
+        points, _, bend = (np.asarray(values) for values in flank(jnp.asarray(t)))
         bend, length = np.abs(bend), np.hypot(*np.diff(points, axis=0).T) * (1 + 1e-3)
         sagitta = np.maximum(bend[1:], bend[:-1]) * length**2 / 8
         needed = 2 ** math.ceil(math.log2(max(4 * count * math.sqrt(sagitta.max() / chord), 1)))
@@ -232,9 +272,33 @@ def _of_rv(design: RVReducer, errors: RVErrors, part: str, disc: int) -> Circles
     return _around("bore of crank", cranks.circle_radius, cranks.count, _outside(bearing), np.pi), missing
 
 
+def _of_rollers(design: CamRollerReducer, errors: CamRollerErrors, part: str, disc: int) -> Circles:
+    if part == "disc":
+        return [Circle("cam", 0.0, 0.0, design.cam_radius + errors.cam_radius)], ["bore of the cam"]
+    return [], ["outside of the ring"] if part == "ring" else ["slots of the rollers", "outside of the cage"]
+
+
 def _outside(bearing: RollingBearing) -> Scalar:
     """Radius outside the rollers or balls of a bearing without an outer ring, m."""
     return jnp.asarray(bearing.pitch_diameter + bearing.element_diameter) / 2
 
 
-_CIRCLES: dict[type, Callable[..., Circles]] = {RVReducer: _of_rv, CycloidalReducer: _of_drive}
+class _Kind(NamedTuple):
+    """Functions of a kind of reducer."""
+
+    toothed: str  # the part with the flank
+    discs: Callable[..., int]  # of the design
+    flank: Callable[..., Flank]  # of design, errors, number of the disc
+    undercut: Callable[..., list[str]]  # of design and numbers of the flank: errors
+    circles: Callable[..., Circles]  # of design, errors, part, number of the disc
+
+
+_CYCLOID = _Kind(
+    "disc", lambda design: design.cycloid.disc_count, _disc_flank,
+    lambda design, numbers: undercut(design.replace(cycloid=numbers)), _of_rv,
+)  # fmt: skip
+_KINDS = {
+    RVReducer: _CYCLOID,
+    CycloidalReducer: _CYCLOID._replace(circles=_of_drive),
+    CamRollerReducer: _Kind("ring", lambda design: 1, _of_gear, _gear_undercut, _of_rollers),
+}

@@ -7,8 +7,8 @@ roller and the windup for one unit at one angle.
 Source: Wei et al. 2021, Chin. J. Mech. Eng. 34:84.
 """
 
+from rvjax.geometry import ToothProfile, largest_roller_radius, tooth_profile, undercut_margin
 from rvjax.mesh_force.equilibrium import MeshForces, solve
-from rvjax.mesh_force.geometry import ToothProfile, largest_roller_radius, tooth_profile, undercut_margin
 from rvjax.mesh_force.outputs import (
     ContactPressure,
     CycleStatistics,

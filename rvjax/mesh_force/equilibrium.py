@@ -24,7 +24,8 @@ from rvjax.base.words import choose
 from rvjax.catalogue import checked
 from rvjax.designs import CamRollerReducer, expect
 from rvjax.errors import CamRollerErrors
-from rvjax.mesh_force import geometry, laws, line_contact
+from rvjax.geometry import undercut_margin
+from rvjax.mesh_force import laws, line_contact
 from rvjax.mesh_force.block import Solution, solve_block
 from rvjax.mesh_force.geometry import Case, all_rollers, lever, take_apart
 from rvjax.mesh_force.laws import Compliance
@@ -204,7 +205,7 @@ def solve(
     refusals = (
         (~(finite & (~possible | in_range | crushing)), Status.NONFINITE),
         (~possible, Status.INVALID_GEOMETRY),
-        (geometry.undercut_margin(design) <= 0, Status.UNDERCUT),
+        (undercut_margin(design) <= 0, Status.UNDERCUT),
         (crushing, Status.CONTACT_OVERLOAD),
     )
     design, gate = admit(design, _harmless(z, torque.dtype), *refusals)

@@ -19,8 +19,10 @@ import numpy as np
 from rvjax.catalogue import CORR, checked
 from rvjax.designs import CamRollerReducer, expect
 from rvjax.errors import CamRollerErrors
-from rvjax.mesh_force import geometry, line_contact
+from rvjax.geometry import rollers
+from rvjax.mesh_force import line_contact
 from rvjax.mesh_force.equilibrium import MeshForces, solve
+from rvjax.mesh_force.geometry import cam_lead
 from rvjax.mesh_force.laws import CONTACTS
 from rvjax.outputs import Cases, Curve, Description, Output, Solved, Way, condition
 from rvjax.records import Array, Record, Scalar, field, promote, record
@@ -50,7 +52,7 @@ def contact_pressure(design: CamRollerReducer, forces: MeshForces, *, output_ang
     expect(design, "mesh_force.contact_pressure", CamRollerReducer)
     design, angle, cam, cage, gear = promote(design, output_angle, forces.cam, forces.cage, forces.gear)
     r, link = design.roller_radius, design.cam_radius + design.roller_radius
-    place = geometry.rollers(design.eccentricity, link, design.gear_teeth, *geometry.cam_lead(design.gear_teeth, angle))
+    place = rollers(design.eccentricity, link, design.gear_teeth, *cam_lead(design.gear_teeth, angle))
 
     def pressure(force: jax.Array, radius: Scalar) -> jax.Array:
         return line_contact.pressure(force, design.young_modulus, design.poisson_ratio, design.roller_length, radius)
@@ -117,7 +119,7 @@ def cycle_statistics(
         forces = solve(design, errors, input_torque=torque, output_angle=angle, contact=contact)
         pressure = contact_pressure(design, forces, output_angle=angle)
         largest = jnp.max(jnp.stack([pressure.cam, pressure.cage, pressure.gear]))
-        sine, _ = geometry.cam_lead(z, angle)
+        sine, _ = cam_lead(z, angle)
         return forces, sine * jnp.where(torque < 0, -1, 1) > 0, largest
 
     forces, working, pressure = jax.vmap(at)(jnp.asarray(angles, torque.dtype))

@@ -34,6 +34,7 @@ from rvjax.study.kinds import (
     number_at as number_at,
     orders_of as orders_of,
     outside as outside,
+    variable_tables as variable_tables,
 )
 from rvjax.study.problem import (
     Candidate,

@@ -13,6 +13,7 @@ from rvjax.study.kinds import cycloidal
 from rvjax.study.kinds.features import features
 from rvjax.study.kinds.kind import (
     Assumed as Assumed,
+    Choices as Choices,
     Drawing as Drawing,
     Kind as Kind,
     Known as Known,
@@ -34,6 +35,7 @@ from rvjax.study.kinds.rv_facts import (
 )
 from rvjax.study.kinds.rv_starts import NEEDED, STARTS, rated_torque
 from rvjax.study.kinds.scaling import Law as Law, number_at as number_at, outside as outside, split as split
+from rvjax.study.kinds.tables import variable_tables as variable_tables
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -98,12 +100,16 @@ def _roller_doubts(design: CamRollerReducer) -> list[str]:
     return [f"design.roller_radius = {radius}: rollers from {limit} on cut into the flank of the inner gear (undercut)"]
 
 
+_ROLLER_CHOICES = Choices(
+    {"cam_radius": (0.9, 1.1), "eccentricity": (0.9, 1.1), "roller_radius": (0.8, 1.1), "roller_length": (0.8, 1.5)},
+    prices={"cam_radius": 10.0, "roller_length": 5.0},
+)
 _CAM_ROLLER = Kind(
     design=CamRollerReducer,
     name="an oscillatory roller reducer",
     facts=lambda design: [("rollers", str(design.gear_teeth + 1))],
     doubts=_roller_doubts,
-    starts={"": Start("corr")},
+    starts={"": Start("corr", choices=_ROLLER_CHOICES)},
     features=features("oscillatory-roller"),
 )
 

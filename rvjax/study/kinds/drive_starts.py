@@ -12,10 +12,9 @@ import numpy as np
 
 from rvjax.catalogue import ASSUMED, BASES
 from rvjax.cycloidal import CycloidalReducer
-from rvjax.geometry import figures
 from rvjax.population import tolerance_unit
 from rvjax.records import PyTree
-from rvjax.study.kinds.kind import Assumed, Known, Numbers, Start
+from rvjax.study.kinds.kind import Assumed, Choices, Known, Numbers, Start
 from rvjax.study.kinds.scaling import number_at
 from rvjax.study.kinds.tables import rewritten, scaled_line, stated, with_torque
 from rvjax.study.values import in_unit
@@ -47,11 +46,11 @@ SIZES = {  # key of a process, and the radius that the error grows with
     "hole_radius": ("hole", "output.pin_radius"), "pin_radii": ("pin", ""), "output_pin_radius": ("pin", ""),
     "bearing_clearance": ("bearing", ""),
 }  # fmt: skip
-VARIABLES = {  # share of the number at the start, from .. to
-    FLANK: (0.5, 2.0), HOLE: (0.5, 2.0), "cycloid.eccentricity": (0.8, 1.1), "cycloid.pin_radius": (0.8, 1.2),
-    WIDTH: (0.7, 1.5),
-}  # fmt: skip
-PRICE = 5.0  # assumed: of the volume at the start
+CHOICES = Choices(
+    {FLANK: (0.5, 2.0), HOLE: (0.5, 2.0), "cycloid.eccentricity": (0.8, 1.1), "cycloid.pin_radius": (0.8, 1.2),
+     WIDTH: (0.7, 1.5)},
+    volume=5.0, limits=dict.fromkeys(("pin_gap", "hole_gap", "hole_wall"), 0.75),
+)  # fmt: skip
 LEAST = 0.5  # size over that of a known drive, or its inverse, below which a warning is given; assumed
 YIELDS = 1.79  # largest contact pressure of a line over the yield strength: von Mises
 SLIDING = 0.5  # assumed: share of this pressure for holes, on which the pins slide
@@ -238,24 +237,5 @@ def _tables(text: str, numbers: Numbers, given: Known) -> str:
     return rewritten(text, line)
 
 
-def _variables(design: CycloidalReducer) -> tuple[str, str]:
-    """Tables of the numbers that `rvjax design` may choose, with their price; limits of the unit without errors."""
-    found = figures(design)
-    assert found.envelope_volume is not None  # the study has a width
-    tables = ["# Numbers of the design that may change; bounds and prices are assumed", ""]
-    for path, shares in VARIABLES.items():
-        if number := float(number_at(design, path)):  # 0 has no bounds in proportion
-            lower, upper = (in_unit(end, "m") for end in sorted(share * number for share in shares))
-            tables += [f'[variable."{path}"]', f'lower = "{lower}"', f'upper = "{upper}"', ""]
-    volume = in_unit(float(found.envelope_volume), "m3", 2)
-    tables += ["[objective] # price of the space, in the unit of the costs"]
-    tables += [f'envelope_volume = {{price = {PRICE:g}, per = "{volume}"}}', ""]
-    limits = ["# Limits of the unit without errors, assumed: 3/4 of the value at the start", ""]
-    for name in ("pin_gap", "hole_gap", "hole_wall"):
-        value = in_unit(0.75 * float(getattr(found, name)), "m", 3)
-        limits += [f"[requirement.{name}]", f'nominal_lower = "{value}"', ""]
-    return "\n".join(tables), "\n".join(limits)
-
-
-START = Start(EXAMPLE, PARTS, HEAD, completed, _tables, variables=_variables)
+START = Start(EXAMPLE, PARTS, HEAD, completed, _tables, choices=CHOICES)
 """A new study of a drive."""

@@ -91,6 +91,23 @@ HEAD = (
 
 
 @dataclass(frozen=True)
+class Choices:
+    """Numbers that `rvjax design` may choose in a new study, in proportion to those at the start; all assumed.
+
+    Attributes:
+        bounds: (lower, upper) over the number at the start, by path.
+        prices: of the number at the start, by path.
+        volume: price of the envelope at the start; 0: it has none.
+        limits: of figures of the unit without errors over those at the start, below 1 lower and above 1 upper ones.
+    """
+
+    bounds: Mapping[str, tuple[float, float]]
+    prices: Mapping[str, float] = field(default_factory=dict)
+    volume: float = 0.0
+    limits: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Start:
     """A new study of one model, as `rvjax init` writes it.
 
@@ -102,8 +119,7 @@ class Start:
             numbers that the source lacks, by path).
         tables: (text of the tables after [design], all numbers, reducer) -> this text for the reducer.
         unread: numbers -> comment on what the model does not read of a reducer that contradicts itself.
-        variables: design -> tables of the numbers that `rvjax design` may choose, and of limits without errors; None:
-            not for this kind.
+        choices: numbers that `rvjax design` may choose; None: not for this model.
     """
 
     study: str
@@ -112,7 +128,7 @@ class Start:
     complete: Callable[[Known, Any], tuple[Numbers, Mapping[str, Assumed]]] = _as_given
     tables: Callable[[str, Numbers, Known], str] = _first
     unread: Callable[[Numbers], str] = _no_text
-    variables: Callable[[Any], tuple[str, str]] | None = None
+    choices: Choices | None = None
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from rvjax.designs import Bearings, InvoluteStage, RVReducer
 from rvjax.life import static_rating
 from rvjax.population import it_width, tolerance_unit
 from rvjax.records import PyTree, Scalar
-from rvjax.study.kinds.kind import Assumed, Known, Numbers, Start
+from rvjax.study.kinds.kind import Assumed, Choices, Known, Numbers, Start
 from rvjax.study.kinds.rv_facts import AXIAL, FOLLOWING, KNOWN_REDUCERS, LAWS, NAMES, RATED, SIZES
 from rvjax.study.kinds.scaling import Law, number_at, outside
 from rvjax.study.kinds.tables import rewritten, scaled_line, stated, with_torque
@@ -39,6 +39,11 @@ MODIFICATIONS = ("cycloid.equidistant_modification", "cycloid.shift_modification
 STIFFNESS = "cranks.bearing_stiffness"
 IN_DISC = "bearings.arm."
 EQUIDISTANT = "equidistant_modification"
+CHOICES = Choices(
+    {"cycloid.eccentricity": (0.8, 1.2), RING: (0.95, 1.1), "cycloid.pin_radius": (0.85, 1.15),
+     MODIFICATIONS[0]: (-5.0, 5.0)},
+    volume=10.0, limits={"convex_radius": 0.6, "pin_gap": 0.5, "crank_room": 0.99, "envelope_diameter": 1.03},
+)  # fmt: skip
 RULE = """# Tolerances, costs and process ranges are assumed. They are those of the study rv-40e-whole in proportion to
 # the tolerance unit of ISO 286, i = 0.45 D^(1/3) + 0.001 D, of the size that each belongs to (in brackets).
 # Angles and prices stay.
@@ -293,6 +298,6 @@ def _grade(grade: str, size: float) -> str:
 
 
 STARTS = {
-    "loaded": Start("rv-40e-whole", PARTS, HEAD, _of_the_loaded, _tables, _unread),
+    "loaded": Start("rv-40e-whole", PARTS, HEAD, _of_the_loaded, _tables, _unread, CHOICES),
     "four-bar": Start("rv-40e", ("involute", "cycloid", "cranks"), complete=_of_four_bars, tables=_with_torque),
 }

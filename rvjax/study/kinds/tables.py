@@ -3,7 +3,12 @@
 import re
 from collections.abc import Callable, Mapping
 
-from rvjax.study.kinds.kind import Assumed
+import numpy as np
+
+from rvjax.geometry import figures
+from rvjax.records import PyTree
+from rvjax.study.kinds.kind import Assumed, Choices
+from rvjax.study.kinds.scaling import number_at
 from rvjax.study.values import in_unit
 
 VALUE = re.compile(
@@ -72,3 +77,30 @@ def with_torque(path: tuple[str, ...], match: re.Match[str], torque: Assumed | N
     if torque is None or not path[-1].endswith(("output_torque", "rated_torque")):
         return match[0]
     return stated(match, in_unit(torque.value, "N m"), match["note"] if note is None else note)
+
+
+def variable_tables(choices: Choices, design: PyTree) -> tuple[str, str]:
+    """Tables of the numbers that `rvjax design` may choose, with their prices; limits of the unit without errors.
+
+    Args:
+        choices: of the kind of reducer.
+        design: at the start.
+    """
+    tables = ["# Numbers of the design that may change; bounds and prices are assumed", ""]
+    for path, shares in choices.bounds.items():
+        if number := float(number_at(design, path)):  # 0 has no bounds in proportion
+            lower, upper = (in_unit(end, "m") for end in sorted(share * number for share in shares))
+            tables += [f'[variable."{path}"]', f'lower = "{lower}"', f'upper = "{upper}"']
+            if price := choices.prices.get(path):
+                tables += [f'cost = {{price = {price:g}, per = "{in_unit(number, "m")}"}}']
+            tables += [""]
+    limits = list[str]()
+    if choices.volume:
+        volume = in_unit(float(np.asarray(figures(design).envelope_volume)), "m3", 2)
+        tables += ["[objective] # price of the space, in the unit of the costs"]
+        tables += [f'envelope_volume = {{price = {choices.volume:g}, per = "{volume}"}}', ""]
+        limits += ["# Limits of the unit without errors, assumed from its values at the start", ""]
+    for name, share in choices.limits.items():
+        value = in_unit(share * float(getattr(figures(design), name)), "m", 3)
+        limits += [f"[requirement.{name}]", f'nominal_{"lower" if share < 1 else "upper"} = "{value}"', ""]
+    return "\n".join(tables), "\n".join(limits)

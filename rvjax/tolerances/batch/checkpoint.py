@@ -215,7 +215,7 @@ class Memo:
             values, status = compute()
             return np.stack([*(np.asarray(values[name]) for name in names), np.asarray(status)])
 
-        *values, status = self.recall(inputs, rows)
+        *values, status = self.recall({**inputs, "names": repr(names)}, rows)
         return dict(zip(names, values)), status.astype(np.int32)
 
     def clear(self) -> None:
