@@ -255,14 +255,18 @@ def undercut(design: object) -> list[str]:
 
 @functools.cache
 def _spans() -> dict[type, dict[str, tuple[float, float]]]:
-    """Smallest and largest value of each quantity in known reducers, by class of the design."""
+    """Smallest and largest value of each quantity in known reducers, by class of the design.
+
+    What may have either sign, such as a modification, has no smallest value.
+    """
     found: dict[type, dict[str, tuple[float, float]]] = {}
     for design in KNOWN_DESIGNS:
         spans = found.setdefault(type(design), {})
+        signed = {path for path, _, about in walk(design) if about.get("sign") == "any"}
         for name, (value, _) in numbers(design):
             if size := abs(value):
                 least, most = spans.get(name, (size, size))
-                spans[name] = min(least, size), max(most, size)
+                spans[name] = 0.0 if name in signed else min(least, size), max(most, size)
     return found
 
 

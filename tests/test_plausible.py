@@ -87,6 +87,8 @@ def test_a_design_of_another_size_is_not_doubted():
         warnings.simplefilter("error")
         soft = RV_320E.replace(stiffness=RV_320E.stiffness.replace(turning_arm_bearing=1e6))  # a calibration moves it
         assert doubtful(soft)
+        flat = RV_40E_WHOLE.replace(cycloid=RV_40E_WHOLE.cycloid.replace(equidistant_modification=1e-9))
+        assert doubtful(flat) == []  # a modification passes through zero in a search
         for design in (RV_20E, RV_80E, soft, scaled(RV_40E, 3.0)):
             lost_motion.geometric(scaled(design, 1.0), RVErrors())
 
