@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 import rvjax
-from rvjax import cli, loaded, measured, running, study
+from rvjax import CycloidalErrors, cli, geometry, loaded, measured, running, study
 from rvjax.commands import export
 from rvjax.commands.export import joint
 from rvjax.status import SolveInfo, Status
-from rvjax.units import arcmin
+from rvjax.units import arcmin, mm
 
 STUDY = """
 [design]
@@ -157,6 +157,26 @@ def test_sizes_of_a_study_and_of_its_result(folder, capsys):
     (row,) = told["sizes"]
     assert [row["nominal"], row["upper"], row["lower"]] == pytest.approx([1.602e-3, 3e-6, -3e-6], rel=1e-9)
     assert ",1.602,3" in (folder / "b.csv").read_text() and row["grade"] == ""  # no feature of size
+
+
+def test_a_result_of_design_gives_its_numbers(folder, capsys):
+    """Eccentricity 1.5 mm in place of 1.6, pins 2.5 mm: flank, holes, and the shaft at the mid-point of +2 um."""
+    chosen = {"values": {"cycloid.eccentricity": 1.5e-3, "cycloid.pin_radius": 2.5e-3}, "study": "drive"}
+    made = {key: value for key, value in (RESULT | chosen).items() if key != "shares"}
+    (folder / "mine" / "result.json").write_text(json.dumps(made))
+    assert cli.main(["export", "drive.toml", "b.csv", "--as", "sizes", "--result", "mine", "--format", "json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["sizes"]
+    assert row["nominal"] == pytest.approx(1.502e-3, rel=1e-9)
+    design = study.load("drive.toml", solve=False).design
+    cycloid = design.cycloid.replace(eccentricity=1.5e-3, pin_radius=2.5e-3)
+    due = geometry.outline(design.replace(cycloid=cycloid), errors=CycloidalErrors(throw=2e-6))
+    assert cli.main(["export", "drive.toml", "a.svg", "--result", "mine"]) == 0
+    polygon, circle = (
+        next(ElementTree.parse("a.svg").iter("{http://www.w3.org/2000/svg}" + name)) for name in ("polygon", "circle")
+    )
+    found = [tuple(map(float, point.split(","))) for point in polygon.get("points").split()]
+    np.testing.assert_allclose(np.array(found) * mm, np.asarray(due.flank), atol=1e-10)
+    assert float(circle.get("r")) * mm == pytest.approx(float(due.circles[0].radius), abs=1e-10)
 
 
 def test_conditions_of_a_joint_model_count_as_read():

@@ -25,11 +25,12 @@ HALF, MIDDLE = "half-width", "middle"
 _DAMAGE = (OSError, ValueError, RecursionError)
 
 
-def result(path: str) -> Result:
+def result(path: str, *, designs: bool = False) -> Result:
     """Read the content of a results folder.
 
     Args:
         path: of the folder, or of the result.json in it.
+        designs: whether a result of `rvjax design` is read, too.
 
     Raises:
         ValueError: there is none, or it is no result of `rvjax allocate`.
@@ -41,9 +42,10 @@ def result(path: str) -> Result:
         raise ValueError(f"{path}: there is no results folder with a result.json") from None
     except _DAMAGE as error:
         raise ValueError(f"{path}: cannot be read as a result ({error})") from None
-    needed = {"study", "status", "seed", "versions", "cost", "tolerances", "shares", "certificate"}
-    if not isinstance(found, dict) or not needed <= set(found):
-        raise ValueError(f"{path}: no result of rvjax allocate")
+    needed = {"study", "status", "seed", "versions", "cost", "tolerances", "certificate"}
+    own = ({"shares"}, {"values"}) if designs else ({"shares"},)
+    if not (isinstance(found, dict) and any(needed | more <= set(found) for more in own)):
+        raise ValueError(f"{path}: no result of rvjax allocate{' or rvjax design' if designs else ''}")
     return found
 
 
@@ -156,16 +158,17 @@ def _middle(limits: dict[str, float]) -> float:
     return (limits["upper"] + limits["lower"]) / 2
 
 
-def answered(path: str) -> tuple[Study, PyTree]:
+def answered(path: str, *, designs: bool = False) -> tuple[Study, PyTree]:
     """The study of a results folder, and the tolerances that it found, with their distributions.
 
     Args:
         path: of the folder, or of the result.json in it.
+        designs: whether a result of `rvjax design` is read, too.
 
     Raises:
         ValueError: no results folder of `rvjax allocate`, or its study and its result do not fit each other.
     """
-    found = result(path)
+    found = result(path, designs=designs)
     folder = Path(path) if Path(path).is_dir() else Path(path).parent
     try:
         written = (folder / "study.toml").read_text("utf-8")

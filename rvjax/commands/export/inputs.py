@@ -97,7 +97,7 @@ class ExportInputs(Inputs):
         "largest distance of flank and line, such as '5 um' (default: 1 um)", "LENGTH", unit="m", sign="positive"
     )
     result: str | None = option(
-        "results folder of rvjax allocate, whose mid-points the outlines have, and the sizes its tolerances too",
+        "results folder of rvjax allocate or design: its design and mid-points, and for sizes its tolerances",
         "FOLDER",
     )
     quiet: bool = quiet_option()

@@ -17,27 +17,28 @@ from rvjax.units import mm, um
 CERTIFIED = ("OPTIMAL", "SUBOPTIMAL", "MAX_STEPS")
 
 
-def tolerances_of(inputs: ExportInputs) -> PyTree:
-    """Tolerances of the result that an option names, else of the study.
+def built(inputs: ExportInputs) -> tuple[PyTree, PyTree]:
+    """Design and tolerances of the result that an option names, with the numbers that it chose; else of the study.
 
     Raises:
         StudyError: a result of another design, in one line.
     """
     study, design = inputs.study, inputs.study.design
     if inputs.result is None:
-        return study.tolerances
-    other, tolerances = answered(inputs.result)
+        return design, study.tolerances
+    other, tolerances = answered(inputs.result, designs=True)
     leaves, own = jax.tree.leaves(design), jax.tree.leaves(other.design)
     alike = str(jax.tree.structure(design)) == str(jax.tree.structure(other.design))  # counts and kind
     if not (alike and all(map(np.array_equal, leaves, own))):
         raise StudyError(f"--result {inputs.result}: is the result of another design than {study.name}")
-    return tolerances
+    values = result(inputs.result, designs=True).get("values")
+    return (study.design_with(values) if values else design), tolerances
 
 
 def of_result(inputs: ExportInputs) -> str:
     """Name and status of the result that an option names, in words."""
     assert inputs.result is not None
-    status = str(result(inputs.result)["status"])
+    status = str(result(inputs.result, designs=True)["status"])
     return f"{inputs.result}, {status}{'' if status in CERTIFIED else ': not certified'}"
 
 
@@ -50,10 +51,10 @@ def compute(inputs: ExportInputs) -> dict[str, Outline]:
     Raises:
         StudyError: parts that do not exist or do not fit, in one line.
     """
-    study, design, chord = inputs.study, inputs.study.design, inputs.chord or um
-    errors = None if inputs.result is None else mid_points(tolerances_of(inputs), design.error_record)
+    chord, (design, tolerances) = inputs.chord or um, built(inputs)
+    errors = None if inputs.result is None else mid_points(tolerances, design.error_record)
     wanted = PARTS if inputs.part == ALL else (inputs.part,)
-    with naming(study.name):
+    with naming(inputs.study.name):
         return {
             f"disc {inputs.disc}" if part == "disc" else part: outline(
                 design, part=part, disc=inputs.disc, chord=chord, errors=errors

@@ -2,7 +2,7 @@
 
 from rvjax.commands.cells import sizes_table
 from rvjax.commands.export.inputs import ExportInputs
-from rvjax.commands.export.outlines import of_result, tolerances_of
+from rvjax.commands.export.outlines import built, of_result
 from rvjax.render import Note, Report
 from rvjax.study import Size, sizes_of
 
@@ -13,7 +13,7 @@ def compute(inputs: ExportInputs) -> list[Size]:
     Raises:
         StudyError: a result of another design, in one line.
     """
-    return sizes_of(inputs.study.design, tolerances_of(inputs))
+    return sizes_of(*built(inputs))
 
 
 def report(inputs: ExportInputs, found: list[Size]) -> Report:
