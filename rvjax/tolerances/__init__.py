@@ -9,8 +9,8 @@ import dataclasses
 
 from rvjax.population import Estimate, MeasuredColumn, MeasuredParts, Tolerance, for_design, it_width, measured, sample
 from rvjax.response import Outcome
-from rvjax.tolerances.allocation.allocate import CostCurve, allocate, cost_curve, least_yield as least_yield
-from rvjax.tolerances.allocation.certificate import units_of as units_of
+from rvjax.tolerances.allocation.allocate import CostCurve, allocate, cost_curve
+from rvjax.tolerances.allocation.certificate import least_yield as least_yield, units_of as units_of
 from rvjax.tolerances.allocation.cost import (
     COSTS as COSTS,
     Cost as Cost,

@@ -24,7 +24,6 @@ from rvjax.tolerances.allocation.search import Search
 from rvjax.tolerances.allocation.shortage import least_shortage, refused
 from rvjax.tolerances.allocation.variable import Middle, Variable
 from rvjax.tolerances.batch.checkpoint import Memo
-from rvjax.tolerances.batch.statistics import Statistics
 from rvjax.tolerances.limits import Limits
 
 
@@ -160,18 +159,8 @@ def costs_of_yields(search: Search, end: End, yields: Sequence[float]) -> list[t
             if there.look.excess > 2 * MET:
                 continue
             x = there.look.x
-            samples = min(certifier.run.samples, fresh_units)
-            fresh = dataclasses.replace(
-                certifier.run, population=search.decisions.population(x), samples=samples, keep=False
-            )
-            certifier.solved += samples
-            points.append((least_yield(fresh.statistics()), there.look.total))
+            points.append((certifier.yield_at(constraints, there.look, fresh_units), there.look.total))
     return sorted(points)
-
-
-def least_yield(statistics: Statistics) -> float:
-    """The least share of units that keeps one requirement."""
-    return min(verdict.estimate.value for verdict in statistics.verdicts.values() if verdict.kind == "share")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -115,8 +115,25 @@ class Certifier:
 
     def _run(self, population: Population) -> Run:
         """The run of a certificate, with the responses that it solves."""
-        required = {name: item for name, item in self.run.requirements.items() if name in self._names}
-        return dataclasses.replace(self.run, population=population, names=self._names, requirements=required)
+        return self._of_names(population, self._names)
+
+    def _of_names(self, population: Population, names: tuple[str, ...]) -> Run:
+        required = {name: item for name, item in self.run.requirements.items() if name in names}
+        return dataclasses.replace(self.run, population=population, names=names, requirements=required)
+
+    def yield_at(self, constraints: Constraints, look: Look, samples: int) -> float:
+        """The least share of fresh units that keeps one requirement, of those that may decide at a look.
+
+        Args:
+            constraints: of the search.
+            look: of the search.
+            samples: units, at most those of a certificate.
+        """
+        samples = min(self.run.samples, samples)
+        self.solved += samples
+        names = constraints.units.decisive(self.run.names, constraints.far(look))
+        run = self._of_names(constraints.decisions.population(look.x), names)
+        return least_yield(dataclasses.replace(run, samples=samples, keep=False).statistics())
 
     def holds(self, statistics: Statistics) -> bool:
         """True if every requirement is met for certain, and the joint target if there is one."""
@@ -216,6 +233,12 @@ class Certifier:
             ratio = reached[k] / rejects[k] * wanted / shown
             rejects[k] = min(rejects[k] * float(np.clip(ratio, 1 / _MOST, _MOST)), 0.5)
         return rejects, moved
+
+
+def least_yield(statistics: Statistics) -> float:
+    """The least share of units that keeps one requirement."""
+    verdicts = (statistics.verdicts or {}).values()
+    return min(verdict.estimate.value for verdict in verdicts if verdict.kind == "share")
 
 
 def rejects_at_limits(constraints: Constraints, look: Look) -> np.ndarray:

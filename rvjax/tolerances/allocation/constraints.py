@@ -126,11 +126,18 @@ class Constraints(WholeSample):
 
     def spare(self, look: Look | None) -> None:
         """Solve few costly units of responses whose limits do not decide at a look; None: all units of all."""
-        self.aside, self._near = frozenset(), None
-        if look is None or self.problem.effort.tails or self.problem.joint_target is not None:
-            return
-        far = {row.name for row, used in zip(self.rows, look.used) if row.share and used <= DECIDES}
-        self.aside = frozenset(far - set(self.problem.losses))
+        self.aside, self._near = frozenset() if look is None else self.far(look), None
+
+    def far(self, look: Look) -> frozenset[str]:
+        """Costly responses whose limits do not decide at a look; none where all decide together.
+
+        Args:
+            look: of the search.
+        """
+        if self.problem.effort.tails or self.problem.joint_target is not None:
+            return frozenset()
+        inside = {row.name for row, used in zip(self.rows, look.used) if row.share and used <= DECIDES}
+        return frozenset(inside - set(self.problem.losses))
 
     @property
     def by_quantiles(self) -> bool:
