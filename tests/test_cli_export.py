@@ -167,6 +167,12 @@ def test_a_result_of_design_gives_its_numbers(folder, capsys):
     assert cli.main(["export", "drive.toml", "b.csv", "--as", "sizes", "--result", "mine", "--format", "json"]) == 0
     (row,) = json.loads(capsys.readouterr().out)["sizes"]
     assert row["nominal"] == pytest.approx(1.502e-3, rel=1e-9)
+    for number, wrong in enumerate(({"cycloid.nothing": 1.0}, {"cycloid.eccentricity": "wide"}, 5)):
+        (folder / "other" / "result.json").write_text(json.dumps(made | {"values": wrong}))
+        (folder / "other" / "study.toml").write_text(STUDY)
+        assert cli.main(["export", "drive.toml", f"{number}.csv", "--as", "sizes", "--result", "other"]) == 2
+        said = capsys.readouterr().err
+        assert "--result other: no result of drive" in said and len(said.splitlines()) == 1
     design = study.load("drive.toml", solve=False).design
     cycloid = design.cycloid.replace(eccentricity=1.5e-3, pin_radius=2.5e-3)
     due = geometry.outline(design.replace(cycloid=cycloid), errors=CycloidalErrors(throw=2e-6))

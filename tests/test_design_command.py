@@ -287,4 +287,4 @@ def test_init_writes_a_study_with_variables(tmp_path, monkeypatch, capsys):
     assert set(made.variables) == set(study.load("rv-40e-design", solve=False).variables)
     assert made.about.revision == "A" and "rvjax design" in (tmp_path / "mine.toml").read_text()
     assert cli.main(["init", "other.toml", "--design", "--base", "rv-80e", "--model", "four-bar"]) == 2
-    assert "of rv-40e alone; others are of the loaded reducer" in capsys.readouterr().err
+    assert "--model four-bar: needs --base rv-40e" in capsys.readouterr().err

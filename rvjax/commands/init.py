@@ -156,7 +156,9 @@ def written(base: str, model: str = "loaded", process: str = "", *, variables: b
     made = _joined(given, more, start, rest)
     if variables:
         if start.choices is None:
-            raise ValueError(f"--design --model {model}: of rv-40e alone; others are of the loaded reducer")
+            raise ValueError(
+                f"--design --model {model}: needs --base rv-40e; other studies with variables are of the loaded reducer"
+            )
         choices, limits = variable_tables(start.choices, parse_study(made, name=given.name, solve=False).design)
         made = made.replace("[conditions]", f"{choices}\n[conditions]", 1).replace("[run]", f"{limits}\n[run]", 1)
     return Written(made, model, given.name, _warnings(given, more))

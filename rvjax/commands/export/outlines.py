@@ -32,7 +32,10 @@ def built(inputs: ExportInputs) -> tuple[PyTree, PyTree]:
     if not (alike and all(map(np.array_equal, leaves, own))):
         raise StudyError(f"--result {inputs.result}: is the result of another design than {study.name}")
     values = result(inputs.result, designs=True).get("values")
-    return (study.design_with(values) if values else design), tolerances
+    try:
+        return (study.design_with(values) if values else design), tolerances
+    except (TypeError, AttributeError, ValueError) as error:
+        raise StudyError(f"--result {inputs.result}: no result of {study.name} ({error})") from None
 
 
 def of_result(inputs: ExportInputs) -> str:

@@ -92,7 +92,7 @@ HEAD = (
 
 @dataclass(frozen=True)
 class Choices:
-    """Numbers that `rvjax design` may choose in a new study, in proportion to those at the start; all assumed.
+    """Numbers that `rvjax design` may choose in a new study, lengths in proportion to those at the start; all assumed.
 
     Attributes:
         bounds: (lower, upper) over the number at the start, by path.

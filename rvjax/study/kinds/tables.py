@@ -3,8 +3,6 @@
 import re
 from collections.abc import Callable, Mapping
 
-import numpy as np
-
 from rvjax.geometry import figures
 from rvjax.records import PyTree
 from rvjax.study.kinds.kind import Assumed, Choices
@@ -95,12 +93,13 @@ def variable_tables(choices: Choices, design: PyTree) -> tuple[str, str]:
                 tables += [f'cost = {{price = {price:g}, per = "{in_unit(number, "m")}"}}']
             tables += [""]
     limits = list[str]()
+    found: PyTree = figures(design) if choices.volume or choices.limits else None
     if choices.volume:
-        volume = in_unit(float(np.asarray(figures(design).envelope_volume)), "m3", 2)
+        volume = in_unit(float(found.envelope_volume), "m3", 2)
         tables += ["[objective] # price of the space, in the unit of the costs"]
         tables += [f'envelope_volume = {{price = {choices.volume:g}, per = "{volume}"}}', ""]
         limits += ["# Limits of the unit without errors, assumed from its values at the start", ""]
     for name, share in choices.limits.items():
-        value = in_unit(share * float(getattr(figures(design), name)), "m", 3)
+        value = in_unit(share * float(getattr(found, name)), "m", 3)
         limits += [f"[requirement.{name}]", f'nominal_{"lower" if share < 1 else "upper"} = "{value}"', ""]
     return "\n".join(tables), "\n".join(limits)
