@@ -9,12 +9,13 @@ import jax
 import numpy as np
 import pytest
 from cycloidal_cases import NAMED, SAMPLES, design_of, dictionaries, drawn, errors_of, fits, fits_with_slopes, placed
+from scipy import optimize
 
 from rvjax import CycloidalErrors, RVErrors, Status
 from rvjax.catalogue import RV_40E
 from rvjax.loaded import clearance, unchecked
 from rvjax.loaded.cycloidal_gaps import lines
-from rvjax.loaded.largest_gap import largest_gap
+from rvjax.loaded.largest_gap import Lines, largest_gap
 from rvjax.units import um
 from tests.oracles import cycloidal as oracle
 
@@ -58,6 +59,39 @@ def test_three_discs_share_one_carrier_as_in_a_linear_programme():
     single = [discs_alone(THREE, each, angle) for each, angle in zip(drawn_, angles)]
     shared = np.sum(np.asarray(found) < np.array(single) - 0.01 * um)
     assert np.all(np.asarray(found) <= np.array(single) + 1e-6 * um) and 5 <= shared <= 35
+
+
+def random_lines(count):
+    """Gaps of any size over levers of two discs, with holes turned against their teeth: four passes are needed."""
+    rng = np.random.default_rng(0)
+    phase, turned, size = rng.uniform(0, 2 * np.pi, (count, 1, 1)), np.pi * np.arange(2)[:, None], 20 * um
+    pins, holes = (np.sin(2 * np.pi * np.arange(n) / n + k * phase + turned) for n, k in ((18, 1), (6, 17)))
+    gaps = [size * rng.standard_normal((count, 2, n)) for n in (18, 6)]
+    gaps[1] += 3 * size * rng.standard_normal((count, 2, 1)) * holes
+    return Lines(gaps[0], 5e-3 * pins), Lines(gaps[1], 0.02 * holes)
+
+
+def programme(pins, holes):
+    """Most s with s + lever beta_k <= gap of pins, s + lever (beta_k - alpha) <= gap of holes; lengths in um."""
+    rows = []
+    for k, (of_pins, of_holes) in enumerate(zip(pins.lever, holes.lever)):
+        rows += [[1, *(lever * (k == i) for i in range(2)), 0] for lever in of_pins]
+        rows += [[1, *(lever * (k == i) for i in range(2)), -lever] for lever in of_holes]
+    due = np.concatenate([np.concatenate(each) for each in zip(pins.gap, holes.gap)]) / um
+    return -optimize.linprog([-1, 0, 0, 0], A_ub=rows, b_ub=due, bounds=[(None, None)] * 4).fun * um
+
+
+def test_the_tangents_end_at_the_linear_programme_and_say_where_they_do_not(monkeypatch):
+    """With one pass the value is an upper bound, and the lower bound that comes with it is below the programme."""
+    cases = random_lines(200)
+    due = np.array([programme(*jax.tree.map(lambda x, i=i: x[i], cases)) for i in range(200)])
+    found, left = jax.jit(jax.vmap(largest_gap))(*cases)
+    np.testing.assert_allclose(found, due, rtol=0, atol=1e-6 * um)
+    assert np.max(np.abs(left)) < 1e-9 * um
+    monkeypatch.setattr("rvjax.loaded.largest_gap.STEPS", 1)
+    found, left = jax.jit(jax.vmap(largest_gap))(*jax.tree.map(lambda x: x[:199], cases))  # another program
+    assert np.all(found > due[:199] - 1e-6 * um) and np.max(found - due[:199]) > 10 * um
+    assert np.all(found - left < due[:199] + 1e-6 * um) and np.max(left) > 10 * um
 
 
 def stacked(drawn_):

@@ -217,6 +217,8 @@ def test_a_part_that_does_not_decide_has_few_units():
     joint = constraints(FAR, response=Two("both"), samples=2048, joint_target=0.99)
     joint.spare(joint.look(X))
     assert joint.aside == set()  # each unit counts as a whole
+    priced = constraints(FAR, response=Two("both"), samples=2048, losses={"w": QuadraticLoss(price=2.0, at=0.5)})
+    assert priced.far(priced.look(X)) == set()  # its mean counts all units
     beyond = float((joint.values(X)["y"] > 0.4).mean())
     assert beyond > 0 and rejects_at_limits(joint, joint.look(X))[-1] == pytest.approx(beyond, rel=0.1)
 
