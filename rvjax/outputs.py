@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rvjax.records import Design, PyTree
-from rvjax.units import KNOWN, arcsec, readable
+from rvjax.units import KNOWN, arcsec, readable, with_unit
 
 Solved = tuple[Any, Any]  # value and status
 Spectrum = tuple[Any, Any]  # mean and complex amplitudes of a curve
@@ -161,6 +161,16 @@ class Output:
     def shown(self) -> tuple[str, float]:
         """Name and SI size of the unit in which a person reads it."""
         return readable(self.unit, self.read_in)
+
+    def text(self, value: float, form: str = ".4g") -> str:
+        """A value in the unit in which a person reads it.
+
+        Args:
+            value: SI.
+            form: format of the number.
+        """
+        unit, size = self.shown
+        return with_unit(value / size, unit, form)
 
 
 @dataclass(frozen=True)

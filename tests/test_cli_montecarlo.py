@@ -122,7 +122,7 @@ def test_bad_input_is_one_line_and_exit_code_2(here, capsys, arguments, words):
 
 
 def test_an_interrupted_batch_says_how_to_go_on(here, capsys, monkeypatch):
-    def interrupted(_):
+    def interrupted(_, **how):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(batch, "run", interrupted)

@@ -23,15 +23,13 @@ class PartsInputs(Inputs):
     def __post_init__(self):
         self.study = study.load(self.source, solve=False)
         self.folder = results_folder(self.results, self.study.name + "-parts")
+        self.phases = (READING, WRITING)
 
 def section(table, question):
     unknown = set(table) - {"spare"}
     if unknown:
         raise ValueError(f"unknown key parts.{min(unknown)}")
     return study.quantity(table["spare"], "m", "parts.spare")
-
-def phases(inputs):
-    return {READING: 0.0, WRITING: 0.0}
 
 def compute(inputs):
     design = inputs.study.design

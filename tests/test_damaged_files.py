@@ -167,8 +167,8 @@ def test_a_result_names_the_study_as_it_was_read(tmp_path, monkeypatch):
     (tmp_path / "small.toml").write_text(SMALL)
     run = batch.run
 
-    def edited(wanted):
-        found = run(wanted)
+    def edited(loaded, **how):
+        found = run(loaded, **how)
         (tmp_path / "small.toml").write_text("later")
         return found
 
@@ -199,9 +199,9 @@ def test_a_signal_ends_a_batch_in_order(tmp_path, number, code):
     """The handler alone: a response that waits to be ended stands for a long run."""
     script = (
         "import sys, time; from rvjax import cli; from rvjax.commands.montecarlo import batch\n"
-        "def run(wanted):\n    print('begun', flush=True)\n    time.sleep(60)\n"
+        "def run(study, **how):\n    print('begun', flush=True)\n    time.sleep(60)\n"
         "batch.run = run\n"
-        "study = {'doubts': [], 'accuracy': {}, 'certificate_samples': 1}\n"
+        "study = {'doubts': [], 'accuracy': {}, 'certificate_samples': 1, 'seed': 1}\n"
         "batch.study_of = lambda *_: type('Question', (), study)()\n"
         "sys.modules['rvjax.commands.montecarlo'].unit_seconds = lambda study: None\n"
         "sys.exit(cli.main(['montecarlo', 's.toml', '--checkpoint', 'c']))"

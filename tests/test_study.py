@@ -255,5 +255,5 @@ def test_a_costly_nominal_unit_is_solved_at_the_first_response(monkeypatch):
         solved.clear()
         found = types.SimpleNamespace(samples=10, failed=failed)
         monkeypatch.setattr(batch.tolerances, "monte_carlo", lambda *_, found=found, **__: found)
-        assert batch.run(batch.Batch(study=dataclasses.replace(cheap), samples=10)) is found
+        assert batch.run(dataclasses.replace(cheap), samples=10) is found
         assert len(solved) == count

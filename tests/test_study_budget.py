@@ -99,9 +99,9 @@ def test_interactions_of_errors_are_bounded():
 
         draw = lambda first, *, count: draws[:, first : first + count]  # noqa: E731
         load = effects.of_load(solve, draw, units, count, block=20_000)
-        assert load.total[1] == pytest.approx(0.5 * (a**2 + b**2 + c**2 + d**2), rel=5 * np.sqrt(20 / count))
-        assert load.failed == 0 and load.alike[0] == pytest.approx(49.0)
-        return load.together
+        assert load["total"][1] == pytest.approx(0.5 * (a**2 + b**2 + c**2 + d**2), rel=5 * np.sqrt(20 / count))
+        assert load["failed"] == 0 and load["alike"][0] == pytest.approx(49.0)
+        return load["together"]
 
     draws = jnp.asarray(np.random.default_rng(3).standard_normal((3, 41_000)))
     assert share(0.0, 0.0)[0] < 1e-28

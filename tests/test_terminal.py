@@ -17,7 +17,6 @@ from hypothesis import given, strategies as st
 
 from rvjax import cli
 from rvjax.base.words import refilled, wrapped
-from rvjax.commands.budget.effects import _Slope
 from rvjax.render import Interval, Note, Report, Table, Text, aligned
 from rvjax.render.page import typeset
 from rvjax.status import Status
@@ -167,7 +166,7 @@ def test_commands_fit_the_terminal(monkeypatch, arguments, columns):
 def test_a_slope_stays_next_to_its_share_at_eighty_columns():
     """The longest row of a loaded result is 82 characters wide; the root mean square goes to a second line."""
     shares = Interval("share [interval]")
-    columns = [Text("error"), _Slope("d loaded_transmission_error / d error"), shares]
+    columns = [Text("error"), Text("d loaded_transmission_error / d error", narrow=20), shares]
     rows = [["equidistant_modification", "no slope [rms 0.0325 arcmin/arcmin]", "33.0 % [25.4, 45.1]"]]
     lines = Table("influence", columns, rows).text(80).split("\n")
     assert max(map(len, Table("influence", columns, rows).text().split("\n"))) > 80 >= max(map(len, lines))

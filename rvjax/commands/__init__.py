@@ -1,10 +1,9 @@
 """The commands of rvjax: their inputs, and one run. A command is a module here, or a package, and a line in COMMANDS.
 
 Of a command NAME: `NameInputs` has its options as fields, whose metadata are help, unit and choices, and its help as
-docstring; `compute(inputs)` works, in phases that `phases(inputs)` lists, if it has any; `COUNTED` is the phase that
-reports which part of it is done; `report(inputs, found)` describes what was found; `section(table, study)` reads its
-table of study files. A run prints text or JSON and writes a results folder. The module of a command is imported when it
-is first used.
+docstring; `compute(inputs)` works, in the phases that the inputs list; `COUNTED` is the phase that reports which part
+of it is done; `report(inputs, found)` describes what was found; `section(table, study)` reads its table of study files.
+A run prints text or JSON and writes a results folder. The module of a command is imported when it is first used.
 
 Units have a device of JAX for each core, where units take longer than their start; a GPU, where they take much longer.
 """
@@ -32,10 +31,12 @@ if TYPE_CHECKING:
 class Inputs:
     """Inputs of a command: a dataclass whose fields are its options; `__post_init__` reads what they name.
 
-    Attributes that a run uses: `quiet`, whether it shows no progress; `folder` of the results, None for none; `over`,
-    whether they replace those in it; `memo` of an interrupted run, or None; `command`, the words of the command line.
+    Attributes that a run uses: `phases` that it shows; `quiet`, whether it shows no progress; `folder` of the results,
+    None for none; `over`, whether they replace those in it; `memo` of an interrupted run, or None; `command`, the words
+    of the command line.
     """
 
+    phases: tuple[str, ...] = ()
     quiet: bool = True
     folder: Path | None = None
     over: bool = False
@@ -277,8 +278,7 @@ def run(name: str, inputs: Inputs, *, as_json: bool = False) -> int:
     from rvjax.render import plain, write_files
 
     work, folder, width = module(name), inputs.folder, terminal_width()
-    phases = work.phases(inputs) if hasattr(work, "phases") else ()
-    with progress.shown(phases, counted=getattr(work, "COUNTED", ""), quiet=inputs.quiet):
+    with progress.shown(inputs.phases, counted=getattr(work, "COUNTED", ""), quiet=inputs.quiet):
         progress.begin(READING)
         found = work.report(inputs, work.compute(inputs))
         if not as_json and found.content:  # before the folder is made, which may fail

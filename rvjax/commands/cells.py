@@ -56,9 +56,8 @@ def limit_text(requirement: Limits | None, output: Output) -> str:
     """
     if requirement is None:
         return ""
-    unit, size = output.shown
     bounds = ((">=", requirement.lower), ("<=", requirement.upper))
-    return " and ".join(f"{sign} {with_unit(limit / size, unit)}" for sign, limit in bounds if math.isfinite(limit))
+    return " and ".join(f"{sign} {output.text(limit)}" for sign, limit in bounds if math.isfinite(limit))
 
 
 def against_limit(value: float, requirement: Limits, output: Output) -> str:
@@ -69,11 +68,10 @@ def against_limit(value: float, requirement: Limits, output: Output) -> str:
         requirement: with limits of the value.
         output: what the value is.
     """
-    unit, size = output.shown
     beyond = {"below": requirement.lower - value, "above": value - requirement.upper}
     side = max(beyond, key=lambda name: beyond[name])
-    limit = with_unit((requirement.lower if side == "below" else requirement.upper) / size, unit)
-    return f"{with_unit(value / size, unit, ',.4g')}, {side if beyond[side] > 0 else 'limit'} {limit}"
+    limit = output.text(requirement.lower if side == "below" else requirement.upper)
+    return f"{output.text(value, ',.4g')}, {side if beyond[side] > 0 else 'limit'} {limit}"
 
 
 def share(estimate: Estimate) -> Quantity:

@@ -34,7 +34,6 @@ from rvjax.study import (
     over_a_turn,
     shown,
 )
-from rvjax.units import with_unit
 
 
 @dataclass(kw_only=True)
@@ -61,6 +60,7 @@ class CheckInputs(Inputs):
     def __post_init__(self) -> None:
         """Read the study; a drawing needs a kind of reducer that has one."""
         self.study = study.load(self.source, solve=False)
+        self.phases = (READING, SOLVING, *([TURNING] if self.turn else []))
         if self.picture and kind_of(self.study.design).drawing is None:
             able = " and ".join(kind.plural for kind in KINDS.values() if kind.drawing)
             raise ValueError(f"--picture {self.picture}: plots {able} only, not a {type(self.study.design).__name__}")
@@ -94,15 +94,6 @@ class Checked:
 SOLVING, TURNING = "unit at the mid-points", "a turn of the output"
 TURNED, FINER = 8, 4  # units over a whole turn; their angles over those of the study
 FIT, TRIED = "fit_clearance", 1024  # output below which a unit jams; units for its share
-
-
-def phases(inputs: CheckInputs) -> tuple[str, ...]:
-    """Phases of the command.
-
-    Args:
-        inputs: what is computed.
-    """
-    return READING, SOLVING, *([TURNING] if inputs.turn else [])
 
 
 def compute(inputs: CheckInputs) -> Checked:
@@ -244,8 +235,7 @@ def _content(study: Study, found: Checked, source: str) -> list[Note | Table]:
 
 
 def _value(output: Output, value: float) -> str:
-    unit, size = output.shown
-    return "none" if math.isnan(value) else "endless" if math.isinf(value) else with_unit(value / size, unit)
+    return "none" if math.isnan(value) else "endless" if math.isinf(value) else output.text(value)
 
 
 def _cost(study: Study, field: str) -> list[object]:

@@ -15,7 +15,6 @@ from rvjax.response import BLOCK
 from rvjax.status import MEANING, SUCCESS, Status
 from rvjax.study import Study, scalars
 from rvjax.tolerances import COSTLY_UNITS, KEPT, QUICK, units_of
-from rvjax.units import with_unit
 
 
 def choices(study: Study) -> dict[str, Choice]:
@@ -29,8 +28,7 @@ def level_lines(study: Study) -> list[str]:
     """One line for each response: its level, that level's error, and why."""
     lines = []
     for name, choice in choices(study).items():
-        unit, size = study.output(name).shown
-        error = "" if choice.bound is None else f"error < {with_unit(choice.bound / size, unit, '.2g')}; "
+        error = "" if choice.bound is None else f"error < {study.output(name).text(choice.bound, '.2g')}; "
         lines.append(f"{name}: {choice.level} ({error}{choice.why})")
     return lines
 

@@ -2,13 +2,13 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Protocol
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rvjax.lost_motion import LostMotion
 from rvjax.plotting.style import AFTER, AFTER_BARS, BEFORE, BEFORE_BARS, LIMIT, PALETTE, Looks, look, new_axes, words
@@ -267,45 +267,11 @@ def identified_elements(
     return axes
 
 
-class Budget(Protocol):
-    """Plotted content of an error budget, as in `rvjax.commands.budget.Budget`."""
-
-    @property
-    def title(self) -> str:
-        """Of the curve."""
-
-    @property
-    def unit(self) -> str:
-        """SI unit of the curve."""
-
-    @property
-    def orders(self) -> NDArray[np.float64]:
-        """In periods a revolution of the output (k,)."""
-
-    @property
-    def torque(self) -> dict[str, float]:
-        """{load: N m}."""
-
-    @property
-    def total(self) -> dict[str, NDArray[np.float64]]:
-        """{load: variance of each order over the units (k,)}."""
-
-    @property
-    def part(self) -> dict[str, str]:
-        """{error: part of the reducer}."""
-
-    def by(self, level: str, load: str) -> dict[str, NDArray[np.float64]]:
-        """Variances by part under a load."""
-
-    def shares(self, level: str, load: str) -> dict[str, float]:
-        """Shares by part under a load."""
-
-
-def error_budget(budget: Budget, *, orders: int = 8) -> Figure:
+def error_budget(budget: Any, *, orders: int = 8) -> Figure:
     """Shares of the parts under every load, above; root mean square of the largest orders and their parts, below.
 
     Args:
-        budget: from `rvjax.commands.budget.error_budget`.
+        budget: a `rvjax.commands.budget.Budget`.
         orders: number of plotted orders of the output revolution.
     """
     unit, size = ("arcsec", arcsec) if budget.unit == "rad" else (budget.unit, 1.0)

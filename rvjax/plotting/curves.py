@@ -8,6 +8,7 @@ from matplotlib.ticker import LogLocator, ScalarFormatter
 from numpy.typing import ArrayLike
 
 from rvjax.compensation import Correction
+from rvjax.measured import Judged
 from rvjax.plotting.style import AFTER, BEFORE, DASHES, LIMIT, PALETTE, Looks, Numbers, limit_lines, new_axes, words
 from rvjax.units import arcmin, arcsec, deg, readable, rpm
 
@@ -145,19 +146,16 @@ def corrected_curve(
     return axes
 
 
-def measured_contents(
-    angle: Numbers, error: Numbers, fitted: Numbers, *, title: str = "", axes: Axes | None = None
-) -> Axes:
+def measured_contents(judged: Judged, *, title: str = "", axes: Axes | None = None) -> Axes:
     """A measured error over the output angle, the curve of its contents, and below it the rest.
 
     Args:
-        angle: of the output, ascending, rad (n,).
-        error: measured, rad (n,).
-        fitted: curve of the contents, rad (n,).
+        judged: of `rvjax.measured.judge`; bad readings are not shown.
         title: of the plot.
         axes: where to draw; a new figure by default.
     """
-    y, fit = np.asarray(error) / arcsec, np.asarray(fitted) / arcsec
+    model, used = judged.model, np.isin(judged.model.angle, judged.angle)
+    y, fit = model.value[used] / arcsec, (model.value - model.residual)[used] / arcsec
     rest = y - fit
     below = min(float(np.min(y)), float(np.min(fit))) - 1.2 * float(np.max(rest, initial=0.0))  # its own zero line
     left = f"rest, rms {np.std(rest):.3g} arcsec (shifted)"
@@ -167,7 +165,7 @@ def measured_contents(
         left: {"color": "0.4", "ls": "-", "lw": 0.8},
     }
     axes = lines(
-        np.degrees(np.asarray(angle)), {"measured": y, "contents": fit, left: below + rest}, looks=looks, title=title,
+        np.degrees(model.angle[used]), {"measured": y, "contents": fit, left: below + rest}, looks=looks, title=title,
         xlabel="output angle (deg)", ylabel="transmission error (arcsec)",
         legend={"loc": "upper right", "ncols": 3}, axes=axes,
     )  # fmt: skip

@@ -14,7 +14,7 @@ from rvjax.designs import CamRollerReducer, RVReducer
 from rvjax.geometry import flank_along
 from rvjax.mesh_force import largest_roller_radius, tooth_profile
 from rvjax.plotting.style import AFTER, BEFORE, LIMIT, PALETTE, new_axes
-from rvjax.records import PyTree
+from rvjax.records import PyTree, Scalar
 from rvjax.units import mm
 
 GREY, GREEN = "0.45", PALETTE[2]
@@ -32,9 +32,7 @@ def reducer(design: RVReducer, *, crank_angle: float = np.pi / 4, axes: Axes | N
     cycloid, cranks = design.cycloid, design.cranks
     pitch = 2 * np.pi / cycloid.pin_count
     angle = pitch * round(crank_angle / pitch)  # where the disc meshes as it does at zero
-    for pin in pitch * np.arange(cycloid.pin_count):
-        middle = tuple(cycloid.pin_circle_radius / mm * unit_vector(pin))
-        axes.add_patch(Circle(middle, float(cycloid.pin_radius) / mm, fc="0.85", ec=GREY, lw=0.8))
+    circles(axes, cycloid.pin_circle_radius, cycloid.pin_radius, cycloid.pin_count, "0.85")
     centre = cycloid.eccentricity * unit_vector(angle)
     axes.plot(*(turned(flank(design), angle).T + centre[:, None]) / mm, color=AFTER, lw=1.6, label="disc 0")
     for k, place in enumerate(crank_axes(design)):
@@ -125,9 +123,7 @@ def _from_the_side(design: RVReducer | CycloidalReducer, other: RVReducer | Cycl
 def _section(design: RVReducer, axes: Axes) -> None:
     """Pins, first disc, cranks and planets' reference circles."""
     cycloid, cranks, gears = design.cycloid, design.cranks, design.involute
-    for pin in 2 * np.pi * np.arange(cycloid.pin_count) / cycloid.pin_count:
-        middle = tuple(cycloid.pin_circle_radius / mm * unit_vector(pin))
-        axes.add_patch(Circle(middle, float(cycloid.pin_radius) / mm, fc="0.85", ec=GREY, lw=0.8))
+    circles(axes, cycloid.pin_circle_radius, cycloid.pin_radius, cycloid.pin_count, "0.85")
     centre = float(cycloid.eccentricity) * unit_vector(0.0)
     axes.plot(*(flank(design).T + centre[:, None]) / mm, color=AFTER, lw=1.2)
     planet = float(gears.module) * gears.planet_teeth / 2 / mm
@@ -210,6 +206,25 @@ def turned(points: np.ndarray, angle: float) -> np.ndarray:
     """
     c, s = np.cos(angle), np.sin(angle)
     return points @ np.array([[c, s], [-s, c]])
+
+
+def circles(
+    axes: Axes, circle: Scalar, radius: Scalar, count: int, colour: str, centre: Scalar = 0.0, *, zorder: float = 1
+) -> None:
+    """Equal circles round a centre, the first on the x axis.
+
+    Args:
+        axes: where to draw.
+        circle: radius of the circle of their middles, m.
+        radius: of each, m.
+        count: of the circles.
+        colour: inside.
+        centre: (2,) m, or 0.
+        zorder: as in Matplotlib.
+    """
+    for angle in 2 * np.pi * np.arange(count) / count:
+        middle = tuple((float(circle) * unit_vector(angle) + np.asarray(centre)) / mm)
+        axes.add_patch(Circle(middle, float(radius) / mm, fc=colour, ec=GREY, lw=0.8, zorder=zorder))
 
 
 def crank_axes(design: RVReducer) -> list[np.ndarray]:

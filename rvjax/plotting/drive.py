@@ -7,9 +7,8 @@ from matplotlib.path import Path
 
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.plotting import drawings
-from rvjax.plotting.drawings import GREY, flank, turned, unit_vector
+from rvjax.plotting.drawings import GREY, circles, flank, turned, unit_vector
 from rvjax.plotting.style import AFTER, BEFORE, PALETTE, new_axes
-from rvjax.records import Scalar
 from rvjax.units import mm
 
 DISCS = (AFTER, BEFORE, PALETTE[2], PALETTE[3])
@@ -139,8 +138,8 @@ def section(design: CycloidalReducer, axes: Axes) -> None:
         lines = "-" if front else (0, (4, 2))
         axes.add_patch(PathPatch(part, fill=False, ec=colour, lw=1.6 if front else 0.9, ls=lines, zorder=2))
         axes.plot([], [], color=colour, lw=1.6 if front else 0.9, ls=lines, label=f"disc {disc}")
-    _circles(axes, cycloid.pin_circle_radius, cycloid.pin_radius, cycloid.pin_count, "0.85")
-    _circles(axes, output.circle_radius, output.pin_radius, output.count, "0.65")
+    circles(axes, cycloid.pin_circle_radius, cycloid.pin_radius, cycloid.pin_count, "0.85", zorder=3)
+    circles(axes, output.circle_radius, output.pin_radius, output.count, "0.65", zorder=3)
     _shaft(design, axes)
 
 
@@ -194,7 +193,7 @@ def _shaft(design: CycloidalReducer, axes: Axes) -> None:
         centre = float(cycloid.eccentricity) * unit_vector(2 * np.pi * disc / cycloid.disc_count)
         if disc == 0 and design.bearings is not None:
             arm = design.bearings.arm
-            _circles(axes, arm.pitch_diameter / 2, arm.element_diameter / 2, arm.elements, "0.93", centre)
+            circles(axes, arm.pitch_diameter / 2, arm.element_diameter / 2, arm.elements, "0.93", centre, zorder=3)
         journal = Circle(tuple(centre / mm), eccentric / mm, fill=False, ec=colour, lw=1.0, ls=lines, zorder=3)
         axes.add_patch(journal)
         axes.plot(*centre / mm, "o", color=colour, ms=4, zorder=5)
@@ -202,10 +201,3 @@ def _shaft(design: CycloidalReducer, axes: Axes) -> None:
         Circle((0, 0), SHAFT * (eccentric - float(cycloid.eccentricity)) / mm, fc="none", ls=":", ec=GREY, zorder=4)
     )
     axes.plot(0, 0, "+", color="black", ms=9, zorder=5)
-
-
-def _circles(axes: Axes, circle: Scalar, radius: Scalar, count: int, colour: str, centre: Scalar = 0.0) -> None:
-    """Equal circles round a centre, the first on the x axis; m."""
-    for angle in 2 * np.pi * np.arange(count) / count:
-        middle = tuple((float(circle) * unit_vector(angle) + np.asarray(centre)) / mm)
-        axes.add_patch(Circle(middle, float(radius) / mm, fc=colour, ec=GREY, lw=0.8, zorder=3))

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 
 GAP = "  "  # between columns
+PROSE = 20  # characters of a broken line, at least
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,8 @@ def aligned(
         return "\n".join(_drawn(texts, full, left, under))
     about = columns or [Text(title) for title in headers]
     left = [k == 0 or column.wraps for k, column in enumerate(about)]
-    least = [_least(column, one.narrow) for column, one in zip(texts, about)]
+    narrow = [PROSE if one.wraps else one.narrow for one in about]
+    least = [_least(*both) for both in zip(texts, narrow)]
     blocks = [[0]]
     for group in _groups(headers, lambda columns: _total([least[0], *(least[k] for k in columns)]) <= width):
         if len(blocks[-1]) > 1 and _total([least[k] for k in blocks[-1] + group]) > width:
@@ -131,7 +133,7 @@ def aligned(
     for block in blocks:
         for k in block:  # the rest of the width goes to cells that were broken
             rest = width - _total([least[j] for j in block])
-            if about[k].narrow and rest > 0:
+            if narrow[k] and rest > 0:
                 least[k] = min(full[k], least[k] + rest)
         below = under if block is blocks[-1] else ()
         lines = _drawn([texts[k] for k in block], [least[k] for k in block], [left[k] for k in block], below)

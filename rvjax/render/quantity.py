@@ -149,6 +149,7 @@ class Column:
         on: where the column is shown.
         file_title: header in the CSV file; None: the title.
         wraps: cells are prose: page and terminal may break them into lines.
+        narrow: characters to which other cells may be broken where a table is too wide; 0: they may not.
     """
 
     title: str
@@ -156,11 +157,7 @@ class Column:
     on: frozenset[str] = EVERYWHERE
     file_title: str | None = None
     wraps: bool = False
-
-    @property
-    def narrow(self) -> int:
-        """Characters to which cells may be broken where a table is too wide; 0: they may not."""
-        return 20 if self.wraps else 0
+    narrow: int = 0
 
     def text(self, cell: object) -> str:
         """Text of the cell; words are not changed, also in a column of numbers."""
@@ -259,10 +256,7 @@ class Interval(Number):
 class Limits(Column):
     """A column of limits of errors (`Zone`); in a file both ends, and the number of the drawing where it has one."""
 
-    @property
-    def narrow(self) -> int:
-        """The words of a drawing and its number may be on two lines."""
-        return 18
+    narrow: int = 18  # the words of a drawing and its number may be on two lines
 
     def headers(self) -> list[str]:
         """Headers in a CSV file."""

@@ -49,7 +49,6 @@ from rvjax.population import Estimate, deviate_of
 from rvjax.render import Note, Report, results_folder
 from rvjax.study import Study
 from rvjax.tolerances import Allocation, Requirement, Statistics, expected_losses
-from rvjax.units import with_unit
 
 LIVES = ("life", "arm_bearing_life")
 CONFIDENCE = 0.95  # of certificates
@@ -64,8 +63,7 @@ def shortfall_text(shortfall: float, output: Output) -> str:
     """
     if math.isinf(shortfall):
         return "cannot be met: too many units fail"
-    unit, size = output.shown
-    return f"would have to move by {with_unit(shortfall / size, unit)}"
+    return f"would have to move by {output.text(shortfall)}"
 
 
 def shortfalls(study: Study, allocation: Allocation) -> dict[str, str]:
@@ -142,9 +140,8 @@ def losses_of(answer: Answer) -> list[str]:
     lines, given = [], expected_losses(study.losses, answer.certificate_before)
     for name, loss in study.losses.items():
         before, after = given[name], allocation.losses[name]
-        unit, size = study.output(name).shown
         sums[0] += before.value
-        at, target = (with_unit(float(value) / size, unit, "g") for value in (loss.at, loss.target))
+        at, target = (study.output(name).text(float(value), "g") for value in (loss.at, loss.target))
         priced = f"{float(loss.price):g} for {at} off {target}"
         lines.append(f"mean loss of {name} ({priced}): {before.value:.3f} -> {after.value:.3f}, {_ends(after)}")
     whole = allocation.objective
@@ -209,18 +206,10 @@ class AllocateInputs(Inputs):
         if self.stored is not None:
             self.quiet = True
             return
+        self.phases = phases_of(READING, WRITING)
         self.folder, self.over = results_folder(self.results, self.study.name, stored), stored is not None
         forewarn(self.study, expected(self.study))
         self.memo = answer.memo(self.study, self.folder)
-
-
-def phases(inputs: AllocateInputs) -> tuple[str, ...]:
-    """Phases of the command.
-
-    Args:
-        inputs: what is computed.
-    """
-    return phases_of(READING, WRITING) if inputs.stored is None else ()
 
 
 def compute(inputs: AllocateInputs) -> Answer | None:

@@ -21,7 +21,6 @@ from rvjax.render import Cell, Interval, Number, Quantity, Table, Text, Titled
 from rvjax.response import parts
 from rvjax.study import WHOLE, Response, Study, over_a_turn
 from rvjax.tolerances import Requirement, monte_carlo
-from rvjax.units import with_unit
 
 UNITS = 2 * AT_ONCE
 CONFIDENCE = 0.95
@@ -211,8 +210,7 @@ def whole_text(found: Whole, study: Study) -> str:
     """
     said = []
     for name, output in found.output.items():
-        unit, size = study.output(name).shown
-        mean = f", mean {with_unit(found.mean[name] / size, unit, '.3g')}" if output != name else ""
+        mean = f", mean {study.output(name).text(found.mean[name], '.3g')}" if output != name else ""
         said.append(f"{output} {100 * found.within[name]:.3g} % within the limit{mean}{_moved(found, study, name)}")
     known = "errors without a tolerance" + "".join(f", {name} (it has no place)" for name in found.unread)
     failed = f"; {found.failed} failed" if found.failed else ""

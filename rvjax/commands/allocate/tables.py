@@ -43,7 +43,7 @@ from rvjax.render import (
 )
 from rvjax.study import sizes_of
 from rvjax.tolerances import Allocation, least_yield
-from rvjax.units import readable, with_unit
+from rvjax.units import readable
 
 GRADED = ("graded", "grade", "cost_graded")
 """Fields of a row that only a result in grades has."""
@@ -160,9 +160,8 @@ class RequirementRow:
     requirement: str = column(Text("requirement"))
     unit: str = column(Text("unit", on=IN_FILE))
     limit: tuple[Any, Any] = column(_Limit("limit"))
-    target: str = column(Text("target", on=NOT_IN_FILE))
     goal: float | None = column(Number("target", on=IN_FILE))
-    requires: str = column(Text("requires", on=IN_FILE))
+    target: str = column(Text("target", file_title="requires"))
     unit_of_value: str = column(Text("unit of the figure", on=IN_FILE))
     before: Quantity = column(Interval("yield before [interval]", file_title="before"))
     after: Quantity = column(Interval("yield after [interval]", file_title="after"))
@@ -184,9 +183,8 @@ def requirement_table(answer: Answer) -> Table:
             requirement=Titled(name, output.meaning),
             unit=output.shown[0],
             limit=(requirement, output),
-            target=requirement.text(),
             goal=getattr(requirement, requirement.goal) if requirement.goal else None,
-            requires=requirement.text(),
+            target=requirement.text(),
             unit_of_value=output.shown[0] if before.kind == "response" else "-",
             before=evaluated(before, output),
             after=evaluated(after, output),
@@ -278,8 +276,7 @@ def _caption(answer: Answer, name: str) -> str:
     valid = values[np.isfinite(values)]
     if not valid.size:
         return caption
-    unit, size = study.output(name).shown
-    mean, sd = (with_unit(number / size, unit, ".3g") for number in (valid.mean(), valid.std()))
+    mean, sd = (study.output(name).text(number, ".3g") for number in (valid.mean(), valid.std()))
     caption += f"; after: mean {mean}, sd {sd}"
     known = (("Cp", certificate.cp_estimate), ("Cpk", certificate.cpk_estimate))
     return caption + "".join(

@@ -69,6 +69,7 @@ class AssembleInputs(Inputs):
         """Read the study; the unit without errors is solved with the parts."""
         self.study = study.load(self.source, solve=False)
         self.folder = results_folder(self.results, f"{self.study.name}-assembly")
+        self.phases = (READING, MATCHING, *([PRICING] if self.prices else []), WRITING)
 
 
 COSTLY = {"most_valued": 2**18, "most_fresh": 2**14}
@@ -89,15 +90,6 @@ class Assembled:
     parts: Bench
     plan: Plan
     prices: tuple[Price, ...] = ()
-
-
-def phases(inputs: AssembleInputs) -> tuple[str, ...]:
-    """Phases of the command.
-
-    Args:
-        inputs: what is computed.
-    """
-    return (READING, MATCHING, *([PRICING] if inputs.prices else []), WRITING)
 
 
 def _mirrored(plan: Plan, objective: str) -> Plan:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+import rvjax
 from rvjax import study
 from rvjax.base import progress as phase
 from rvjax.base.files import versions
@@ -85,20 +86,12 @@ class BudgetInputs(Inputs):
         if len(set(self.loads.values())) < len(self.torque or ()):
             raise ValueError(f"--torque {', '.join(self.torque or ())}: each torque once")
         self.folder = results_folder(self.results, f"{self.study.name}-budget")
+        self.phases = (READING, COUNTED, WRITING)
         forewarn(self.study)
 
 
 COUNTED = "error budget"
 """Phase whose part done is known."""
-
-
-def phases(inputs: BudgetInputs) -> tuple[str, ...]:
-    """Phases of the command.
-
-    Args:
-        inputs: what is computed.
-    """
-    return (READING, COUNTED, WRITING)
 
 
 def compute(inputs: BudgetInputs) -> Budget | ScalarBudget:
@@ -268,17 +261,12 @@ def _load_lines(budget: Budget) -> list[str]:
 
 def _figure(budget: Budget) -> Figure:
     """Shares of the parts and the largest orders."""
-
-    def draw() -> Any:
-        from rvjax import plotting
-
-        return plotting.error_budget(budget).axes[0]
-
     largest = []
     for load in budget.torque:
         part, share = next(iter(budget.shares("part", load).items()), ("nothing", 0.0))
         largest.append(f"{load} {part} with {100 * share:.0f} %")
-    return Figure("budget", f"Error budget by part and by order; largest: {', '.join(largest)}", draw)
+    caption = f"Error budget by part and by order; largest: {', '.join(largest)}"
+    return Figure("budget", caption, lambda: rvjax.plotting.error_budget(budget).axes[0])
 
 
 def report_on_scalar(budget: ScalarBudget, study: Study) -> Report:

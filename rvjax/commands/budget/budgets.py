@@ -13,8 +13,7 @@ With the errors x_i of unit i about their mean and its wave X_i, X_i = mean + c'
 c_f' S_ff c_f with the covariance S of the errors, less sigma^2 tr(S_ff (X' X)^-1_ff): what a coefficient has by chance.
 """
 
-import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -26,7 +25,7 @@ from rvjax import models
 from rvjax._jax.sizes import AT_ONCE
 from rvjax.base.progress import progress_bar
 from rvjax.base.words import choose
-from rvjax.commands.budget.effects import FEWEST, MOST, Load, by_level, curves_of, of_load, parts_of, squares
+from rvjax.commands.budget.effects import FEWEST, MOST, by_level, curves_of, of_load, parts_of, squares
 from rvjax.outputs import Curve, torque_condition, torque_of
 from rvjax.population import Population, drawn, root_key
 from rvjax.response import BLOCK, elements, numbers_of, parts
@@ -103,7 +102,6 @@ def error_budget(
     loads: Mapping[str, float] | None = None,
     samples: int = 256,
     seed: int | None = None,
-    progress: bool = False,
 ) -> Budget:
     """The error budget of the curve that belongs to an output, such as the transmission error along the output.
 
@@ -115,7 +113,6 @@ def error_budget(
         loads: torques by name, N m; by default "loaded", that of the study, and "unloaded", a thousandth of it.
         samples: units; each is solved twice, and once for every error. 256 units give a share of 10 % within 1 %.
         seed: by default that of the study.
-        progress: show a progress bar.
 
     Raises:
         ValueError: no curve along the output, no torque, fewer than 16 samples or more than 65536.
@@ -137,7 +134,7 @@ def error_budget(
 
     blocks = -(-samples // AT_ONCE)
     found = {}
-    with progress_bar(progress, len(loads) * blocks * (2 + len(population.active)), "solving", "block") as advance:
+    with progress_bar(False, len(loads) * blocks * (2 + len(population.active)), "solving", "block") as advance:
 
         def solve(torque: float, z: np.ndarray) -> np.ndarray:
             _, curves = curves_of(curve, study.design, given, population, z, torque)
@@ -147,15 +144,13 @@ def error_budget(
         for load, torque in loads.items():
             with naming(f"study {study.name}, {load}, {torque:g} N m"):
                 found[load] = of_load(partial(solve, torque), draw, population, samples)
-    waves = len(next(iter(found.values())).total)
+    first = next(iter(found.values()))
+    by_load: dict[str, Any] = {name: {load: one[name] for load, one in found.items()} for name in first}
     assert curve.turns is not None
-    by_load: dict[str, Any] = {
-        f.name: {load: getattr(one, f.name) for load, one in found.items()} for f in dataclasses.fields(Load)
-    }
     return Budget(
         title=curve.title,
         unit=curve.unit,
-        orders=np.arange(waves) / curve.turns(study.design, given),
+        orders=np.arange(len(first["total"])) / curve.turns(study.design, given),
         torque=dict(loads),
         part=parts_of(study, population),
         samples=samples,
@@ -192,20 +187,10 @@ def curve_of(study: Study, output: str | None) -> Curve | None:
         study: with the design.
         output: required response of the study.
     """
-    curve = curve_along(study, tuple(study.requirements) if output is None else (output,))
-    return None if output is not None and curve and curve.outputs and output not in curve.outputs else curve
-
-
-def curve_along(study: Study, outputs: Sequence[str]) -> Curve | None:
-    """The first curve along the output of one model; None where no output has one.
-
-    Args:
-        study: with the design.
-        outputs: their names.
-    """
     described = models.kind(study.design).described
-    curves = (described[name].curve for name in outputs)
-    return next((curve for curve in curves if curve is not None and curve.turns is not None), None)
+    curves = (described[name].curve for name in (study.requirements if output is None else (output,)))
+    curve = next((curve for curve in curves if curve is not None and curve.turns is not None), None)
+    return None if output is not None and curve and curve.outputs and output not in curve.outputs else curve
 
 
 @dataclass(frozen=True)
@@ -270,7 +255,7 @@ def budget_if_any(study: Study, tolerances: object = None) -> Budget | None:
         study: design, conditions and tolerances.
         tolerances: other than those of the study.
     """
-    if curve_along(study, tuple(study.requirements)) is None or not torque_of(study.conditions):
+    if curve_of(study, None) is None or not torque_of(study.conditions):
         return None
     found = linear_budget(study, study.tolerances if tolerances is None else tolerances)
     return found or error_budget(study, tolerances=tolerances)
@@ -283,7 +268,7 @@ def linear_budget(study: Study, tolerances: object) -> Budget | None:
         study: design, conditions and requirements.
         tolerances: whose budget it is.
     """
-    curve = curve_along(study, tuple(study.requirements))
+    curve = curve_of(study, None)
     response, population = study.response(), Population.of(tolerances)
     drawing = [part for part in parts(response, population) if getattr(part.response, "curve", False)]
     if curve is None or curve is not study.curve or curve.turns is None or not (response.costly and drawing):

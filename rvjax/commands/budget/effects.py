@@ -7,8 +7,7 @@ kept (Jansen 1999).
 import dataclasses
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -90,22 +89,10 @@ Solve = Callable[[np.ndarray], np.ndarray]  # random numbers of units -> their w
 V = TypeVar("V", float, np.ndarray)
 
 
-@dataclass(frozen=True)
-class Load:
-    """Results of one load, fields as in `Budget`."""
-
-    variance: dict[str, np.ndarray]
-    error: dict[str, float]
-    total: np.ndarray
-    together: tuple[float, float]
-    alike: np.ndarray
-    failed: int
-
-
 def of_load(
     solve: Solve, draw: Callable[..., np.ndarray], population: Population, samples: int, block: int = AT_ONCE
-) -> Load:
-    """Variances by error from units, of which each error is sampled again.
+) -> dict[str, Any]:
+    """Variances by error from units, of which each error is sampled again: fields of `Budget`, for one load.
 
     Args:
         solve: random numbers of units -> their waves (units, k); NaN of a failed unit.
@@ -132,14 +119,14 @@ def of_load(
     rest = 0.25 * (waves * np.abs(other - one - sum(moved.values())) ** 2)[:, 1:].sum(1)
     whole = total[1:].sum()
     share, spread = (float(x / whole) if whole > 0 else 0.0 for x in (rest.sum() / count, rest.std() / np.sqrt(count)))
-    return Load(
-        variance={field: values.sum(0) / count for field, values in square.items()},
-        error={field: float(v[:, 1:].sum(1).std() / np.sqrt(count)) for field, v in square.items()},
-        total=total,
-        together=(share, spread),
-        alike=waves * np.abs(mean) ** 2,
-        failed=int(samples - good.sum()),
-    )
+    return {
+        "variance": {field: values.sum(0) / count for field, values in square.items()},
+        "error": {field: float(v[:, 1:].sum(1).std() / np.sqrt(count)) for field, v in square.items()},
+        "total": total,
+        "together": (share, spread),
+        "alike": waves * np.abs(mean) ** 2,
+        "failed": int(samples - good.sum()),
+    }
 
 
 def squares(count: int) -> np.ndarray:
@@ -289,16 +276,6 @@ def _influence_on(study: Study, one: Influence, name: str) -> Table:
     others, left = acting[len(listed) :], len(study.fields) - len(acting)
     rest = [f"{len(others)} more: {100 * sum(one.shares[field].value for field in others):.2g} %"] if others else []
     rest += [f"{left} without influence"] if left else []
-    columns: list[Column] = [Text("error"), Interval("share [interval]"), _Slope(f"d {name} / d error")]
+    columns: list[Column] = [Text("error"), Interval("share [interval]"), Text(f"d {name} / d error", narrow=20)]
     note = f"{'; '.join(rest)} (influence.csv)" if rest else ""
     return Table("influence", columns, rows, f"Influence on {name}:", note, on=NOT_IN_FILE)
-
-
-@dataclass(frozen=True)
-class _Slope(Text):
-    """Mean slopes, or "no slope" with the root mean square of single units."""
-
-    @property
-    def narrow(self) -> int:
-        """The root mean square may be on the next line."""
-        return 20

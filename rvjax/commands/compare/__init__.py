@@ -70,6 +70,7 @@ class CompareInputs(Inputs):
         if self.on is not None:
             self.study = study.load(self.on, solve=False)  # a unit that fails counts among the others
             self.answers = {letter: answered(path) for letter, path in self.paths.items()}
+            self.phases = tuple(map(_drawing, self.answers))
             forewarn(self.study)
 
 
@@ -84,17 +85,6 @@ class Comparison:
 
     topics: Topics
     crossed: dict[str, Crossed]
-
-
-def phases(inputs: CompareInputs) -> tuple[str, ...]:
-    """Phases of the command.
-
-    Args:
-        inputs: what is computed.
-    """
-    if inputs.study is None:
-        return ()
-    return tuple(map(_drawing, inputs.answers))
 
 
 def _drawing(letter: str) -> str:

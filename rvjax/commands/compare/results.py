@@ -108,10 +108,9 @@ def _rows(first: Result, second: Result) -> Iterator[tuple[str, str, str, PyTree
             yield both(f"variance of {name}, after", field, "share", "shares", "after", name, field)
 
 
-def _same(a: PyTree, b: PyTree) -> bool:
+def _same(a: object, b: object) -> bool:
     """Equal, but for rounding."""
-    numbers = isinstance(a, float) and isinstance(b, float)
-    return a == b or (numbers and math.isclose(a, b, rel_tol=1e-9))
+    return a == b or (isinstance(a, float) and isinstance(b, float) and math.isclose(a, b, rel_tol=1e-9))
 
 
 def _at(found: object, *keys: str) -> PyTree:

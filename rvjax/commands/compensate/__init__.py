@@ -99,18 +99,10 @@ class CompensateInputs(Inputs):
             raise ValueError(f"--export {self.export}: there is no such folder")
         self.study = study.load(self.source, solve=False, needs=("design",))
         self.folder = results_folder(self.results, f"{self.study.name}-compensation")
+        self.phases = (READING, CORRECTING, WRITING)
 
 
 CORRECTING = "orders of the curves"
-
-
-def phases(inputs: CompensateInputs) -> tuple[str, ...]:
-    """Phases of the command.
-
-    Args:
-        inputs: what is computed.
-    """
-    return (READING, CORRECTING, WRITING)
 
 
 def compute(inputs: CompensateInputs) -> Corrections:
@@ -299,15 +291,10 @@ def _figure(curve: Curve, end: str) -> Figure:
     title = "Error and its correction" if 1 in made.order else "Error without order 1, and its correction"
     title = f"{title} {curve.label}".rstrip()
     before = periodic(curve.judged, made)
-    draw = lambda: rvjax.plotting.corrected_curve(angle, before, made, title=title)  # noqa: E731
-    return Figure(f"curve{end}", title, draw)
+    return Figure(f"curve{end}", title, lambda: rvjax.plotting.corrected_curve(angle, before, made, title=title))
 
 
 def _measured(curve: Curve, end: str) -> Figure:
     """The readings, what was found in them, and the rest."""
-    model, used = curve.judged.model, np.isin(curve.judged.model.angle, curve.judged.angle)  # no bad reading
     title = f"Measured curve, its contents and the rest {curve.label}".rstrip()
-    draw = lambda: rvjax.plotting.measured_contents(  # noqa: E731
-        model.angle[used], model.value[used], (model.value - model.residual)[used], title=title
-    )
-    return Figure(f"measurement{end}", title, draw)
+    return Figure(f"measurement{end}", title, lambda: rvjax.plotting.measured_contents(curve.judged, title=title))

@@ -5,12 +5,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+import rvjax
 from rvjax._jax.solved_state import moving
 from rvjax.base.files import versions
 from rvjax.catalogue import steep
 from rvjax.commands import READING, WRITING, Inputs, argument, option, quiet_option, results_option, switch
 from rvjax.commands.allocate import answer
 from rvjax.commands.cells import assumed_text, failures_text, limits_data, sizes_table
+from rvjax.commands.compare import cost_of
 from rvjax.commands.design.optimum import JOINT, STEPS, TRADE, UNSCALED, Designed, Point, optima
 from rvjax.commands.design.prices import block, price_note, script, slope, unit_of_number
 from rvjax.commands.design.tables import headline, laws_of, numbers, others, requirements_of, saved_part, tolerances_of
@@ -66,6 +68,8 @@ class DesignInputs(Inputs):
         usual = 0 if self.study.costly else FRONT
         self.points = 0 if self.alone or not self.study.objective else usual if self.front is None else self.front
         self.folder = results_folder(self.results, f"{self.study.name}-design")
+        more = () if self.alone else (STEPS, UNSCALED)
+        self.phases = (READING, JOINT, *more, *([TRADE] if self.points else []), WRITING)
         forewarn(self.study)
         self.memo = answer.memo(self.study, self.folder)
 
@@ -78,16 +82,6 @@ def _refuse_unread(asked: Study) -> None:
     for path in start.keys() - read:
         outputs = ", ".join(response.response.outputs)
         raise StudyError(f'{asked.name}: variable."{path}": no required output depends on it ({outputs}); leave it out')
-
-
-def phases(inputs: DesignInputs) -> tuple[str, ...]:
-    """Phases of the command.
-
-    Args:
-        inputs: what is computed.
-    """
-    more = () if inputs.alone else (STEPS, UNSCALED)
-    return (READING, JOINT, *more, *([TRADE] if inputs.points else []), WRITING)
 
 
 def compute(inputs: DesignInputs) -> Designed:
@@ -141,7 +135,7 @@ def _sizes(found: Designed) -> list[Size]:
     return sizes_of(found.joint.design, found.joint.found.tolerances)
 
 
-def _named(inputs: DesignInputs, found: Designed, name: str) -> Iterator[Any]:
+def _named(inputs: DesignInputs, found: Designed, name: str) -> Iterator[Figure]:
     yield from (figure for figure in figures(inputs.study, found) if figure.name == name)
 
 
@@ -236,33 +230,26 @@ def figures(study: Study, found: Designed) -> Iterator[Figure]:
         yield Figure("section", drawing.comparison, lambda: drawing.compared(study.design, found.joint.design))
     if found.front:
 
-        def front() -> Any:
-            from rvjax import plotting
+        def place(point: Point) -> tuple[float, float]:
+            return point.priced(study), point.of_tolerances(study)
 
-            def place(point: Point) -> tuple[float, float]:
-                return point.priced(study), point.of_tolerances(study)
-
-            points = [*(point for point in found.front if point.certified), found.joint]
-            before = sum(price(found.start[name]) for name, price in study.objective.items()), _start(study)
-            others = {_labelled("study, before", found.joint.found.start_cost >= found.joint.found.cost): before}
-            if (first := found.two_step) is not None:
-                others[_labelled("geometry first", first.found.feasible)] = place(first)
-            return plotting.trade_front(
-                [place(point) for point in points],
-                uncertified=[place(point) for point in found.front if not point.certified],
-                chosen=place(found.joint),
-                others=others,
-                label=", ".join(name.replace("_", " ") for name in study.objective),
-            )
-
-        yield Figure("front", "Cost of the tolerances against the priced outputs, at the prices of the study", front)
+        certified = [place(point) for point in found.front if point.certified]
+        hollow = [place(point) for point in found.front if not point.certified]
+        chosen, label = place(found.joint), ", ".join(name.replace("_", " ") for name in study.objective)
+        before = sum(price(found.start[name]) for name, price in study.objective.items())
+        meets = found.joint.found.start_cost >= found.joint.found.cost
+        others = {_labelled("study, before", meets): (before, cost_of(study, study.tolerances))}
+        if (first := found.two_step) is not None:
+            others[_labelled("geometry first", first.found.feasible)] = place(first)
+        yield Figure(
+            "front",
+            "Cost of the tolerances against the priced outputs, at the prices of the study",
+            lambda: rvjax.plotting.trade_front(
+                [*certified, chosen], uncertified=hollow, chosen=chosen, others=others, label=label
+            ),
+        )
 
 
 def _labelled(name: str, meets: bool) -> str:
     """A point that costs less than the optimum, or is infeasible, misses a limit: its place shows no gain."""
     return name if meets else f"{name}, misses limits"
-
-
-def _start(study: Study) -> float:
-    """Cost of the tolerances of the study."""
-    return sum(float(cost(getattr(study.tolerances, name).half_width)) for name, cost in study.costs.items())

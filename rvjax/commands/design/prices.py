@@ -212,14 +212,14 @@ def data(study: Study, found: Designed) -> dict[str, Any]:
 
 def _distance(study: Study, found: Designed, sliders: list[dict[str, Any]], name: str) -> dict[str, object]:
     """Distance of a requirement from its limit, and its slopes."""
-    joint, output = found.joint.found, study.output(name)
+    joint, output, limits = found.joint.found, study.output(name), study.requirements[name]
     unit, size = output.shown
     slopes = joint.margin_slopes[name]
     return {
-        "label": words(name), "limit": limit_text(study.requirements[name], output), "unit": unit,
-        "required": study.requirements[name].text(), "margin": min(joint.margins[name], 0.0) / size,
+        "label": words(name), "limit": limit_text(limits, output), "unit": unit,
+        "required": limits.text(), "margin": min(joint.margins[name], 0.0) / size,
         "slopes": [slopes.get(one["name"], 0.0) * one["size"] / size for one in sliders],
-        "scale": max(abs(x) for x in _ends(study.requirements[name])) / size,
+        "scale": max(abs(end) for end in (limits.lower, limits.upper) if math.isfinite(end)) / size,
     }  # fmt: skip
 
 
@@ -235,7 +235,8 @@ def _nominal(study: Study, found: Designed, sliders: list[dict[str, Any]]) -> li
         output = study.output(name)
         unit, size = output.shown
         limits = study.nominal.get(name)
-        lower, upper = (None, None) if limits is None else _ends_or_none(limits.lower, limits.upper, size)
+        ends = (limits.lower, limits.upper) if limits else (None, None)
+        lower, upper = (None if end is None or math.isinf(end) else end / size for end in ends)
         price = study.objective[name](size) if name in study.objective else 0.0
         rates = [float(slopes[name].get(one["name"], 0.0)) * one["size"] / size for one in sliders]
         rows.append(
@@ -244,12 +245,3 @@ def _nominal(study: Study, found: Designed, sliders: list[dict[str, Any]]) -> li
             | {"limit": nominal_limit(study, name)}
         )
     return rows
-
-
-def _ends(limits: Any) -> list[float]:
-    return [end for end in (limits.lower, limits.upper) if math.isfinite(end)]
-
-
-def _ends_or_none(lower: float | None, upper: float | None, size: float) -> tuple[float | None, float | None]:
-    ends = [None if end is None or math.isinf(end) else end / size for end in (lower, upper)]
-    return ends[0], ends[1]

@@ -174,9 +174,8 @@ def requirements_of(study: Study, found: Designed) -> Iterator[Table]:
     nominal = []
     for name in study.without_errors:
         output = study.output(name)
-        unit, size = output.shown
         price = limit_price(study, found.joint, name)
-        before, after = (with_unit(side[name] / size, unit, ".5g") for side in (found.start, found.joint.outputs))
+        before, after = (output.text(side[name], ".5g") for side in (found.start, found.joint.outputs))
         if name in study.objective:
             named, size = per_output(output)
             price = f"{study.objective[name](size):.3g}{per(named)}"

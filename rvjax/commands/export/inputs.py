@@ -4,13 +4,22 @@ import dataclasses
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from rvjax import study
 from rvjax.base.files import check_writable
-from rvjax.commands import Inputs, argument, flag_of, option, quiet_option, study_argument, whole_number
+from rvjax.commands import (
+    READING,
+    WRITING,
+    Inputs,
+    argument,
+    flag_of,
+    option,
+    quiet_option,
+    study_argument,
+    whole_number,
+)
 from rvjax.geometry import DRAWINGS, PARTS
 from rvjax.records import PyTree
 from rvjax.running import FORMATS
@@ -25,6 +34,7 @@ JOINT = ("unit", "rated_torque", "damping", "input_inertia", "output_inertia", "
 OUTLINE = ("part", "disc", "chord", "result")  # the last one of sizes too
 """Options of one kind of file."""
 SIZES = "sizes"
+SOLVING = "joint model"  # phase
 
 
 @dataclass(kw_only=True)
@@ -125,35 +135,26 @@ class ExportInputs(Inputs):
         if self.curve == self.file:
             raise ValueError(f"--curve {self.curve}: must be another file than that of the joint model")
         what, others = self._others()
-        if unused := [flag_of(f.name) for f in dataclasses.fields(self) if f.name in others and self.given(f)]:
-            raise ValueError(f"{unused[0]}: {self.file} is {what}, which has no such option")
+        for f in dataclasses.fields(self):
+            if f.name in others and getattr(self, f.name) != f.default:
+                raise ValueError(f"{flag_of(f.name)}: {self.file} is {what}, which has no such option")
         self.chord = um if self.chord is None else self.chord
-        if self.drawing:
-            self.study = study.load(self.source, solve=False, needs=("design",))
-            return
-        if self.form == SIZES:
-            needs = ("design",) if self.result is not None else ("design", "tolerances")
-            self.study = study.load(self.source, solve=False, needs=needs)
-            return
         if self.samples is not None and not statistic:
             raise ValueError(f"--samples {self.samples}: needs --unit {' or '.join(STATISTICS)}")
         if self.curve is not None and statistic:
             raise ValueError(
                 f"--curve {self.curve}: --unit {self.unit} is no single unit; give nominal or a .toml file"
             )
-        needs = ("design", "tolerances") if statistic else ("design",)
+        toleranced = statistic or (self.form == SIZES and self.result is None)
+        needs = ("design", "tolerances") if toleranced else ("design",)
         self.study = study.load(self.source, solve=False, needs=needs)
+        self.phases = (READING, WRITING)
+        if self.drawing or self.form == SIZES:
+            return
+        self.phases = (READING, SOLVING, WRITING)
         self.torque = self._checked()
         self.errors = None if statistic else _errors(self.unit, self.study.design)
         self.units = self.samples or UNITS
-
-    def given(self, option: dataclasses.Field[Any]) -> bool:
-        """True if an option has another value than its default.
-
-        Args:
-            option: a field.
-        """
-        return bool(getattr(self, option.name) != option.default)
 
     def _others(self) -> tuple[str, tuple[str, ...]]:
         """The kind of file in words, and the options of other kinds."""

@@ -11,7 +11,7 @@ import rvjax
 from rvjax import loaded, running
 from rvjax._jax.programs import QUICK
 from rvjax.base import progress
-from rvjax.commands.export.inputs import STATISTICS, ExportInputs
+from rvjax.commands.export.inputs import SOLVING, STATISTICS, ExportInputs
 from rvjax.cycloidal import CycloidalErrors
 from rvjax.errors import RVErrors
 from rvjax.population import Population, drawn, root_key
@@ -23,7 +23,6 @@ from rvjax.status import MEANING, SUCCESS, Status
 from rvjax.study import StudyError, naming
 from rvjax.units import arcsec
 
-SOLVING = "joint model"
 TIGHT = "warning: the nominal unit has no clearance, but real units have; --unit median has that of random units"
 ANGLES = 24  # of a turn of the crank or shaft, on the curve
 LOW = ("stiffness", "mu_dif")
@@ -73,9 +72,7 @@ def compute(inputs: ExportInputs) -> Exported:
         damping=inputs.damping,
         input_angle=given.input_angle,
         samples=given.running_samples,
-        contact=given.pin_contact,
-        carrier=given.carrier,
-        sun=getattr(given, "sun", "fixed"),
+        **loaded.ways(given),
     )
     unit = _Joined(study.design, tuple(ways.items()))
     with naming(study.name):
@@ -100,16 +97,14 @@ def _error(inputs: ExportInputs, errors: RVErrors | CycloidalErrors | None) -> n
     """
     if inputs.curve is None or errors is None:
         return None
-    study, given = inputs.study, inputs.study.conditions
+    study = inputs.study
     found = loaded.revolution(
         errors.stiffened(study.design),
         errors,
         output_torque=inputs.torque,
         turns=1.0,
         samples=ANGLES * study.design.cycloid.pin_count,
-        contact=given.pin_contact,
-        carrier=given.carrier,
-        sun=getattr(given, "sun", "fixed"),
+        **loaded.ways(study.conditions),
     )
     if (status := Status(int(found.info.status))) not in SUCCESS:
         raise StudyError(f"--curve: cannot be solved: {status.name} ({MEANING[status]})")

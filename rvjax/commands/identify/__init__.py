@@ -69,16 +69,7 @@ class IdentifyInputs(Inputs):
         if self.measured is None and not self.check:
             raise ValueError("no data: name at least one CSV file, or use --check for the identifiability")
         self.folder = None if self.check else results_folder(self.results, self.study.name)
-
-
-def phases(inputs: IdentifyInputs) -> tuple[str, ...]:
-    """Phases of the command.
-
-    Args:
-        inputs: what is computed.
-    """
-    coming = (SEEING, RANKING) if inputs.check else (SEEING, FITTING, RANKING, WRITING)
-    return (READING, *coming)
+        self.phases = (READING, SEEING, RANKING) if self.check else (READING, SEEING, FITTING, RANKING, WRITING)
 
 
 def compute(inputs: IdentifyInputs) -> Identified:

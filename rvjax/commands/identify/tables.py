@@ -286,11 +286,7 @@ def _curve(band: Band) -> "Axes":
 def _contents(found: Identified, place: int) -> "Axes":
     run = found.problem.items[0][place]
     assert isinstance(run, Run)
-    judged = judge(run, orders_of(found.study.design))
-    model, used = judged.model, np.isin(judged.model.angle, judged.angle)  # no bad reading
-    return rvjax.plotting.measured_contents(
-        model.angle[used], model.value[used], (model.value - model.residual)[used], title=run.at.text()
-    )
+    return rvjax.plotting.measured_contents(judge(run, orders_of(found.study.design)), title=run.at.text())
 
 
 def _orders(found: Identified) -> "Axes":

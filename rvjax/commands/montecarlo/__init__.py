@@ -105,7 +105,7 @@ class MontecarloInputs(Inputs):
         self.shown = not self.quiet
         # The first of several processes has a line of its own, the others are silent.
         self.quiet |= self.processes > 1 if self.group is None else self.group.number > 0
-        self.started = time.perf_counter()
+        self.started, self.phases = time.perf_counter(), (READING, COUNTED)
 
 
 COUNTED = "drawing units"
@@ -127,57 +127,49 @@ class Sampled:
     device: str
 
 
-def phases(inputs: MontecarloInputs) -> tuple[str, ...]:
-    """Phases of the command.
-
-    Args:
-        inputs: what is computed.
-    """
-    return READING, COUNTED
-
-
 def compute(inputs: MontecarloInputs) -> Sampled | None:
     """The statistics, after they are written to the files that options name; None in one of several processes."""
     if inputs.worker:
         folder, number, processes = inputs.worker
-        batch.work(lambda group: _batch(inputs, group), folder, int(number), int(processes))
+        share = lambda group: _run(inputs, batch.study_of(inputs.source, group), group)  # noqa: E731
+        batch.work(share, folder, int(number), int(processes))
         return None
     with inputs.group or contextlib.nullcontext() as group:
-        wanted = _batch(inputs, group)
+        loaded = batch.study_of(inputs.source, group)
         first = group is None or group.number == 0
         if first:
-            forewarn(wanted.study)
+            forewarn(loaded)
         progress.begin(COUNTED)
         if group is None and inputs.processes > 1:
             device = f"the processor, {inputs.processes} processes"
-            found = batch.run_in_processes(inputs.command, inputs.processes, text=wanted.study.text)
+            found = batch.run_in_processes(inputs.command, inputs.processes, text=loaded.text)
         else:
-            with units_placed(lambda: _seconds(wanted)) as device:
-                found = batch.run(wanted)
+            with units_placed(lambda: _seconds(inputs, loaded)) as device:
+                found = _run(inputs, loaded, group)
     if not first:
         return None
-    about = found.study | {"name": inputs.source, "toml": wanted.study.text}
+    about = found.study | {"name": inputs.source, "toml": loaded.text}
     if inputs.json is not None:
         tolerances.save(dataclasses.replace(found, values=None), inputs.json, study=about)
-    if inputs.save is not None and wanted.keep:
+    if inputs.save is not None and inputs.table is None:
         tolerances.save(found, inputs.save, study=about)
-    return Sampled(wanted.study, found, device)
+    return Sampled(loaded, found, device)
 
 
-def _seconds(wanted: batch.Batch) -> float | None:
+def _seconds(inputs: MontecarloInputs, loaded: Study) -> float | None:
     """Seconds of two cores that the units take; None: unknown."""
-    unit = unit_seconds(wanted.study)
-    return None if unit is None else unit * (wanted.samples or wanted.study.certificate_samples)
+    unit = unit_seconds(loaded)
+    return None if unit is None else unit * (inputs.samples or loaded.certificate_samples)
 
 
-def _batch(inputs: MontecarloInputs, group: Processes | None = None) -> batch.Batch:
-    loaded = batch.study_of(inputs.source, group)
+def _run(inputs: MontecarloInputs, loaded: Study, group: Processes | None) -> Statistics:
+    """The statistics, by the units of this process or those of all that share the run."""
     save = inputs.table and batch.table_of(inputs.table, loaded, inputs.source, errors=inputs.save_errors)
-    return batch.Batch(
-        study=loaded,
-        samples=inputs.samples,
-        seed=inputs.seed,
-        sobol=inputs.sobol,
+    return batch.run(
+        loaded,
+        samples=inputs.samples or loaded.certificate_samples,
+        seed=loaded.seed if inputs.seed is None else inputs.seed,
+        method="sobol" if inputs.sobol else "random",
         chunk=inputs.chunk or CHUNK,
         checkpoint=inputs.checkpoint,
         keep=inputs.save is not None and inputs.table is None,

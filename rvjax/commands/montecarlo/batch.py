@@ -1,7 +1,6 @@
 """A batch of units of a study, in one process, several of this computer, or those of a cluster job."""
 
 import contextlib
-import dataclasses
 import os
 import subprocess
 import sys
@@ -10,61 +9,24 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from rvjax import study, tolerances
-from rvjax._jax.sizes import CHUNK
 from rvjax.tolerances import Folder, Processes, Statistics, UnitFile, take
 
 _STUDY = "study"
 """Message with the text of the study."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Batch:
-    """Arguments of a run.
+def run(loaded: study.Study, **how: Any) -> Statistics:
+    """The statistics, in this process or with the others.
 
-    Attributes:
-        study: sampled study.
-        samples: units; None: as many as the study certifies with.
-        seed: None: that of the study.
-        sobol: Sobol points instead of random numbers.
-        chunk: units at once.
-        checkpoint: file to continue from, or None.
-        keep: keep the responses of every unit.
-        save: table that every unit goes to, or None.
-        progress: show a progress bar.
-        processes: that share the run; None: this one alone.
+    Args:
+        loaded: study that is sampled.
+        **how: options of `rvjax.tolerances.monte_carlo`.
     """
-
-    study: study.Study
-    samples: int | None = None
-    seed: int | None = None
-    sobol: bool = False
-    chunk: int = CHUNK
-    checkpoint: str | None = None
-    keep: bool = False
-    save: UnitFile | None = None
-    progress: bool = False
-    processes: Processes | None = None
-
-
-def run(batch: Batch) -> Statistics:
-    """The statistics, in this process or with the others."""
-    loaded = batch.study
-    found = tolerances.monte_carlo(
-        loaded.response(solve=False),
-        loaded.tolerances,
-        samples=loaded.certificate_samples if batch.samples is None else batch.samples,
-        seed=loaded.seed if batch.seed is None else batch.seed,
-        method="sobol" if batch.sobol else "random",
-        chunk=batch.chunk,
-        requirements=loaded.requirements,
-        checkpoint=batch.checkpoint,
-        keep=batch.keep,
-        save=batch.save,
-        progress=batch.progress,
-        processes=batch.processes,
-    )
+    response = loaded.response(solve=False)
+    found = tolerances.monte_carlo(response, loaded.tolerances, requirements=loaded.requirements, **how)
     if found.failed == found.samples:
         loaded.response()  # says so where the unit without errors fails too
     return found
@@ -152,19 +114,18 @@ def _wait(workers: Sequence[subprocess.Popen[bytes]], logs: Sequence[Path]) -> N
             raise ValueError(f"process {number + 1} of {len(workers)} ended with {code} {said[-1] if said else ''}")
 
 
-def work(inputs: Callable[[Processes], Batch], folder: str, number: int, processes: int) -> None:
+def work(share: Callable[[Processes], Statistics], folder: str, number: int, processes: int) -> None:
     """One of several processes of this computer; the first writes the result.
 
     Args:
-        inputs: makes what to run.
+        share: solves the units of this process; returns the statistics of all.
         folder: of the command that started them.
         number: of this process.
         processes: their number.
     """
     threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
     with Folder(Path(folder) / "shared", number, processes) as group:
-        batch = inputs(group)
-        found = run(dataclasses.replace(batch, processes=group, progress=batch.progress and number == 0))
+        found = share(group)
         if number == 0:
             tolerances.save(found, f"{folder}/result.npz")
 

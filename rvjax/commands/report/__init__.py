@@ -79,6 +79,9 @@ class ReportInputs(Inputs):
         self.shown = False
         if self.stored is not None and self.output is not None and not self.fresh:
             self.shown = shows(self.output, self.stored, self.source, self.sliders)
+        if not self.shown:
+            after = SLIDERS if self.sliders else SECTIONS, WRITING
+            self.phases = phases_of(READING, *after) if self.answer is None else (READING, *after)
 
 
 def mark(result: bytes, source: str, sliders: bool) -> bytes:
@@ -110,18 +113,6 @@ def shows(page: Path, folder: Path, source: str, sliders: bool) -> bool:
 
 
 SLIDERS, SECTIONS, WRITING = "numbers behind the sliders", "sections of the page", "the page"
-
-
-def phases(inputs: ReportInputs) -> tuple[str, ...]:
-    """Phases of the command.
-
-    Args:
-        inputs: what is computed.
-    """
-    if inputs.shown:
-        return ()
-    after = SLIDERS if inputs.sliders else SECTIONS, WRITING
-    return phases_of(READING, *after) if inputs.answer is None else (READING, *after)
 
 
 def compute(inputs: ReportInputs) -> Shown | None:

@@ -2,13 +2,14 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+import rvjax
 from rvjax import models
 from rvjax._jax.programs import QUICK
 from rvjax.population import Population, drawn, root_key
@@ -19,9 +20,6 @@ from rvjax.running import SHARES, Turned, sign_of, turned
 from rvjax.status import SUCCESS
 from rvjax.study import Study, comments, is_assumed, shown
 from rvjax.units import rpm
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 UNITS = 256
 TORQUES = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.25, 1.5)  # times the torque of the conditions
@@ -289,11 +287,9 @@ def _spread(study: Study, name: str) -> str:
 
 
 def _figure(losses: UnitLosses) -> Figure:
-    def draw() -> "Axes":
-        from rvjax import plotting
-
-        return plotting.efficiency_against_torque(
-            losses.torque, quantiles(losses.efficiency), speeds=np.abs(losses.speeds), rated=losses.at
-        )
-
-    return Figure("efficiency_torque", "Efficiency of the units against torque and speed", draw)
+    curves, speeds = (losses.torque, quantiles(losses.efficiency)), np.abs(losses.speeds)
+    return Figure(
+        "efficiency_torque",
+        "Efficiency of the units against torque and speed",
+        lambda: rvjax.plotting.efficiency_against_torque(*curves, speeds=speeds, rated=losses.at),
+    )

@@ -334,9 +334,8 @@ def rows_of(answer: Answer, unit: WorstUnit) -> dict[str, object]:
         fields, title = study.fields, f"Unit {unit.index:,} failed"
         reason = f"status {unit.status}: {MEANING[Status[unit.status]]}"
     responses = "; ".join(
-        f"{name.replace('_', ' ')} {with_unit(value / size, shown) if np.isfinite(value) else '-'}"
+        f"{name.replace('_', ' ')} {study.output(name).text(value) if np.isfinite(value) else '-'}"
         for name, value in unit.values.items()
-        for shown, size in [study.output(name).shown]
     )
     rows = []
     for field in fields:

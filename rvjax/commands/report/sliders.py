@@ -193,10 +193,11 @@ def cost_data(cost: Cost, size: float) -> dict[str, Any]:
     return {"points": [[float(t) / size, float(cost(t))] for t in points]}
 
 
-def _response(name: str, found: Surrogate, answer: Answer) -> dict[str, Any]:
+def _response(name: str, found: Surrogate, answer: Answer) -> dict[str, object]:
     study, requirement = answer.study, answer.study.requirements[name]
     unit, size = study.output(name).shown
-    own = {end: value / size if math.isfinite(value) else None for end, value in _ends(requirement).items()}
+    ends = {"lower": requirement.lower, "upper": requirement.upper}
+    own = {end: value / size if math.isfinite(value) else None for end, value in ends.items()}
     spread = 2 * float(found.base[name].std()) / size
     ranges = {}
     for end, limit in own.items():
@@ -224,15 +225,11 @@ def _response(name: str, found: Surrogate, answer: Answer) -> dict[str, Any]:
     }
 
 
-def _ends(requirement: Limits) -> dict[str, float]:
-    return {"lower": requirement.lower, "upper": requirement.upper}
-
-
-def _floats(values: np.ndarray) -> dict[str, Any]:
+def _floats(values: np.ndarray) -> dict[str, object]:
     return {"data": base64.b64encode(np.asarray(values, "<f4").tobytes()).decode()}
 
 
-def _integers(values: np.ndarray) -> dict[str, Any]:
+def _integers(values: np.ndarray) -> dict[str, object]:
     """16 bits for each value: within 1/65534 of the largest."""
     scale = float(np.abs(values).max()) / 32767 or 1.0
     numbers = np.round(values / scale).astype("<i2")
