@@ -20,30 +20,20 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar
 
+from rvjax import commands
 from rvjax.base.words import refilled, terminal_width
-from rvjax.commands import (
-    COMMANDS,
-    EXIT_BAD_INPUT,
-    EXIT_OK,
-    Inputs,
-    flag_of,
-    inputs_of,
-    may_use_gpu,
-    run,
-    say,
-)
 
-I = TypeVar("I", bound=Inputs)  # noqa: E741
+I = TypeVar("I", bound=commands.Inputs)  # noqa: E741
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     given = sys.argv[1:] if arguments is None else list(arguments)
-    name = next((word for word in given if word in COMMANDS), None)
+    name = next((word for word in given if word in commands.COMMANDS), None)
     if name is None:  # help, version or an unknown command
         return _parsed(_parser(), given)[1]
     shared = any(word.partition("=")[0] in ("--processes", "--worker") for word in given)
-    _prepare(gpu=may_use_gpu(name, 2 if shared else 1))
+    _prepare(gpu=commands.may_use_gpu(name, 2 if shared else 1))
     from rvjax.base.frames import MissingExtra
     from rvjax.base.progress import ended_by
 
@@ -53,23 +43,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
             options, code = _parsed(_parser(name), given)
             if options is None:
                 return code
-            inputs = read(inputs_of(name), options)
+            inputs = read(commands.inputs_of(name), options)
             inputs.command = given
             as_json = options.format == "json" or getattr(options, "json", None) is True  # `--json` that names no file
-            code = run(name, inputs, as_json=as_json)
+            code = commands.run(name, inputs, as_json=as_json)
             sys.stdout.flush()  # here, and not at the end of the interpreter, which would complain
         return code
     except BrokenPipeError:  # the reader has closed the pipe, as `head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left in the buffer goes nowhere
-        return EXIT_OK
+        return commands.EXIT_OK
     except (ValueError, OSError, MissingExtra) as error:
-        say(f"rvjax: error: {' '.join(str(error).split())}", file=sys.stderr)
-        return EXIT_BAD_INPUT
+        commands.say(f"rvjax: error: {' '.join(str(error).split())}", file=sys.stderr)
+        return commands.EXIT_BAD_INPUT
     except KeyboardInterrupt as stop:
         memo = inputs and inputs.memo
         file = getattr(options, "checkpoint", None) or (memo.folder if memo and memo.folder.exists() else None)
         rest = f"the same command resumes from {file}" if file else "nothing was written"
-        say(f"rvjax: interrupted, {rest}", file=sys.stderr)
+        commands.say(f"rvjax: interrupted, {rest}", file=sys.stderr)
         return 143 if isinstance(stop, _Terminated) else 130
 
 
@@ -80,7 +70,7 @@ class _Terminated(KeyboardInterrupt):
 def _parsed(parser: argparse.ArgumentParser, given: Sequence[str]) -> tuple[argparse.Namespace | None, int]:
     """The options, or None and the exit code where argparse wrote the error or the help."""
     try:
-        return parser.parse_args(given), EXIT_OK
+        return parser.parse_args(given), commands.EXIT_OK
     except SystemExit as stop:
         return None, int(stop.code or 0)
 
@@ -92,24 +82,24 @@ def _parser(chosen: str = "") -> argparse.ArgumentParser:
     about = tomllib.loads((resources.files("rvjax") / "cli.toml").read_text("utf-8"))
     parser = argparse.ArgumentParser("rvjax", None, about["description"], about["epilog"], formatter_class=_Formatter)
     parser.add_argument("--version", action="version", version=f"rvjax {rvjax.__version__}")
-    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    for name, line in COMMANDS.items():
-        texts: dict[str, Any] = texts_of(inputs_of(name)) if name == chosen else {}
-        subparser = commands.add_parser(name, formatter_class=_Formatter, help=line, **texts)
+    subparsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    for name, line in commands.COMMANDS.items():
+        texts: dict[str, Any] = texts_of(commands.inputs_of(name)) if name == chosen else {}
+        subparser = subparsers.add_parser(name, formatter_class=_Formatter, help=line, **texts)
         if name == chosen:
-            add_options(subparser, inputs_of(name))
+            add_options(subparser, commands.inputs_of(name))
             for flag, option in about["options"].items():
                 subparser.add_argument(flag, **option)
     return parser
 
 
-def texts_of(inputs: type[Inputs]) -> dict[str, str]:
+def texts_of(inputs: type[commands.Inputs]) -> dict[str, str]:
     """Description and epilog of a command."""
     text, examples, rest = inspect.cleandoc(inputs.__doc__ or "").partition("\n\nexamples:")
     return {"description": text, "epilog": f"{examples.strip()}{rest}\n"} if examples else {"description": text}
 
 
-def add_options(parser: argparse.ArgumentParser, inputs: type[Inputs]) -> None:
+def add_options(parser: argparse.ArgumentParser, inputs: type[commands.Inputs]) -> None:
     """Add the options of a command to its parser.
 
     Args:
@@ -121,7 +111,7 @@ def add_options(parser: argparse.ArgumentParser, inputs: type[Inputs]) -> None:
         if about["flag"] == ".":
             parser.add_argument(name, **about["parser"])
         else:
-            parser.add_argument(about["flag"] or flag_of(name), dest=name, **about["parser"])
+            parser.add_argument(about["flag"] or commands.flag_of(name), dest=name, **about["parser"])
 
 
 def read(inputs: type[I], options: argparse.Namespace) -> I:
@@ -137,7 +127,7 @@ def read(inputs: type[I], options: argparse.Namespace) -> I:
     given = {}
     for field in dataclasses.fields(inputs):  # type: ignore[arg-type]
         about, value = field.metadata, getattr(options, field.name)
-        named = about["flag"] or flag_of(field.name)
+        named = about["flag"] or commands.flag_of(field.name)
         if value is not None and about["ends"] is not None:
             _check_file(str(value) if named == "." else f"{named} {value}", str(value), about["ends"])
         if value is not None and about["unit"]:

@@ -10,17 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rvjax.commands import (
-    READING,
-    WRITING,
-    Inputs,
-    quiet_option,
-    results_option,
-    study_argument,
-    switch,
-    tell,
-    units_placed,
-)
+from rvjax import commands
 from rvjax.commands.allocate import answer
 from rvjax.commands.allocate.answer import (
     FILE as FILE,
@@ -171,7 +161,7 @@ def limits_of_the_answer(answer: Answer) -> list[str]:
 
 
 @dataclass(kw_only=True)
-class AllocateInputs(Inputs):
+class AllocateInputs(commands.Inputs):
     """Find the cheapest tolerances for which the required share of units meets every requirement. Independent units
     certify them. Tables and plots go to a results folder.
 
@@ -186,17 +176,17 @@ class AllocateInputs(Inputs):
     certified.
     """
 
-    source: str = study_argument(
+    source: str = commands.study_argument(
         ": rv-40e-whole (default: loaded reducer, a minute or two), rv-40e (four-bar model, seconds), corr",
         default="rv-40e-whole",
     )
-    results: str | None = results_option("STUDY")
-    fresh: bool = switch("recompute; the new result replaces the stored one of this study")
-    no_whole: bool = switch(
+    results: str | None = commands.results_option("STUDY")
+    fresh: bool = commands.switch("recompute; the new result replaces the stored one of this study")
+    no_whole: bool = commands.switch(
         "do not measure the result of a four-bar or lost-motion study on the whole reducer, nor that of a loaded "
         "study over a whole turn of the output and what it does not limit"
     )
-    quiet: bool = quiet_option()
+    quiet: bool = commands.quiet_option()
 
     def __post_init__(self) -> None:
         """Read the study, and find the folder that holds its result."""
@@ -206,7 +196,7 @@ class AllocateInputs(Inputs):
         if self.stored is not None:
             self.quiet = True
             return
-        self.phases = phases_of(READING, WRITING)
+        self.phases = phases_of(commands.READING, commands.WRITING)
         self.folder, self.over = results_folder(self.results, self.study.name, stored), stored is not None
         forewarn(self.study, expected(self.study))
         self.memo = answer.memo(self.study, self.folder)
@@ -216,8 +206,8 @@ def compute(inputs: AllocateInputs) -> Answer | None:
     """Compute the result and solve the unit without errors; None if the result is stored."""
     if inputs.stored is not None:
         return None
-    with units_placed(lambda: seconds_of_units(inputs.study)) as device:
-        tell(device)
+    with commands.units_placed(lambda: seconds_of_units(inputs.study)) as device:
+        commands.tell(device)
         measure, shown = not inputs.no_whole, not inputs.quiet
         return answer.answer(inputs.study, progress=shown, memo=inputs.memo, measure=measure, tell=warned)
 

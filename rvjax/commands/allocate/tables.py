@@ -12,18 +12,9 @@ import numpy as np
 
 import rvjax
 from rvjax.base.files import versions
+from rvjax.commands import cells
 from rvjax.commands.allocate.answer import Answer
 from rvjax.commands.budget.effects import IN_FILE, NOT_IN_FILE
-from rvjax.commands.cells import (
-    binding,
-    evaluated,
-    limit_text,
-    limits_data,
-    limits_of,
-    met_text,
-    price_text,
-    sizes_table,
-)
 from rvjax.render import (
     PAGE,
     Cell,
@@ -84,11 +75,13 @@ def tolerance_tables(answer: Answer) -> list[Table]:
     for field in study.fields:
         elements = math.prod(getattr(study.tolerances, field).shape)
         name = Titled(field, f"{elements} elements, each with a separate value" if elements > 1 else "")
-        before, after = (limits_of(study, field, getattr(x, field)) for x in (study.tolerances, allocation.tolerances))
+        before, after = (
+            cells.limits_of(study, field, getattr(x, field)) for x in (study.tolerances, allocation.tolerances)
+        )
         costs = answer.before.cost.get(field), answer.after.cost.get(field)
         grades: tuple[Any, ...] = ()
         if graded:
-            limits = limits_of(study, field, getattr(graded.tolerances, field))
+            limits = cells.limits_of(study, field, getattr(graded.tolerances, field))
             grades = limits, (graded.grades or {}).get(field), graded.costs.get(field)
         unit = readable(study.unit(field))[0]
         rows.append(ToleranceRow(name, unit, before.stated or "limits", before, after, *costs, *grades))
@@ -102,7 +95,7 @@ def tolerance_tables(answer: Answer) -> list[Table]:
 
 def drawing_table(answer: Answer) -> Table:
     """Sizes for the drawing of the tolerances after."""
-    return sizes_table(sizes_of(answer.study.design, answer.allocation.tolerances))
+    return cells.sizes_table(sizes_of(answer.study.design, answer.allocation.tolerances))
 
 
 @dataclass(frozen=True)
@@ -114,7 +107,7 @@ class _Limit(Column):
         return ["lower limit", "upper limit"]
 
     def _said(self, cell: Cell) -> str:
-        return limit_text(*cell)
+        return cells.limit_text(*cell)
 
     def _given(self, cell: Cell) -> list[Value]:
         requirement, output = cell
@@ -178,7 +171,7 @@ def requirement_table(answer: Answer) -> Table:
     for name, requirement in study.requirements.items():
         output = study.output(name)
         before, after = (side.verdicts[name] for side in (answer.certificate_before, allocation.certificate))
-        met = met_text(requirement, after, allocation.certificate.samples)
+        met = cells.met_text(requirement, after, allocation.certificate.samples)
         row = RequirementRow(
             requirement=Titled(name, output.meaning),
             unit=output.shown[0],
@@ -186,17 +179,17 @@ def requirement_table(answer: Answer) -> Table:
             goal=getattr(requirement, requirement.goal) if requirement.goal else None,
             target=requirement.text(),
             unit_of_value=output.shown[0] if before.kind == "response" else "-",
-            before=evaluated(before, output),
-            after=evaluated(after, output),
+            before=cells.evaluated(before, output),
+            after=cells.evaluated(after, output),
             met=met,
-            price=(binding(allocation, name), output, allocation.multiplier_intervals.get(name)),
-            graded=evaluated(graded.certificate.verdicts[name], output) if graded else "",
+            price=(cells.binding(allocation, name), output, allocation.multiplier_intervals.get(name)),
+            graded=cells.evaluated(graded.certificate.verdicts[name], output) if graded else "",
             verdict=met,
         )
         rows.append(row)
-    prices = {name: binding(allocation, name) for name in study.requirements}
+    prices = {name: cells.binding(allocation, name) for name in study.requirements}
     without = () if graded else ("graded",)
-    return Table.of(RequirementRow, "requirements", rows, without=without, note=price_text(study, prices))
+    return Table.of(RequirementRow, "requirements", rows, without=without, note=cells.price_text(study, prices))
 
 
 def data_of(answer: Answer) -> dict[str, object]:
@@ -216,16 +209,16 @@ def data_of(answer: Answer) -> dict[str, object]:
         "tolerances": {
             field: {
                 "unit": study.unit(field),
-                "before": limits_data(study, field, getattr(study.tolerances, field)),
-                "after": limits_data(study, field, getattr(allocation.tolerances, field)),
-                "graded": limits_data(study, field, getattr(graded.tolerances, field)) if graded else None,
+                "before": cells.limits_data(study, field, getattr(study.tolerances, field)),
+                "after": cells.limits_data(study, field, getattr(allocation.tolerances, field)),
+                "graded": cells.limits_data(study, field, getattr(graded.tolerances, field)) if graded else None,
             }
             for field in study.fields
         },
         "sizes": sizes_of(study.design, allocation.tolerances),
         "shares": {"after": answer.after.shares},
         "influence": answer.after.influence,
-        "limits": {name: limit_text(item, study.output(name)) for name, item in study.requirements.items()},
+        "limits": {name: cells.limit_text(item, study.output(name)) for name, item in study.requirements.items()},
         "multipliers": allocation.multipliers,
         "multiplier_intervals": allocation.multiplier_intervals,
         **({"losses": allocation.losses, "objective": allocation.objective} if study.losses else {}),

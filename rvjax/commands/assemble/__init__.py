@@ -10,21 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import rvjax
-from rvjax import assembly, study
+from rvjax import assembly, commands, study
 from rvjax.assembly import Plan
 from rvjax.base import progress
 from rvjax.base.files import versions
-from rvjax.commands import (
-    READING,
-    WRITING,
-    Inputs,
-    argument,
-    encoding_option,
-    quiet_option,
-    results_option,
-    study_argument,
-    switch,
-)
 from rvjax.commands.assemble.matching import (
     Bench as Bench,
     Price as Price,
@@ -44,7 +33,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(kw_only=True)
-class AssembleInputs(Inputs):
+class AssembleInputs(commands.Inputs):
     """Match the measured parts of a list for the smallest response, or for the most good units. The plan is evaluated
     with independent samples of the measurement error. A build list goes to a results folder.
 
@@ -58,18 +47,20 @@ class AssembleInputs(Inputs):
     interrupted.
     """
 
-    source: str = study_argument()
-    parts: str = argument("measured parts", "PARTS.csv")
-    prices: bool = switch("cost of tolerances for random assembly and for matching (runs the allocation three times)")
-    encoding: str | None = encoding_option()
-    results: str | None = results_option("STUDY-assembly")
-    quiet: bool = quiet_option()
+    source: str = commands.study_argument()
+    parts: str = commands.argument("measured parts", "PARTS.csv")
+    prices: bool = commands.switch(
+        "cost of tolerances for random assembly and for matching (runs the allocation three times)"
+    )
+    encoding: str | None = commands.encoding_option()
+    results: str | None = commands.results_option("STUDY-assembly")
+    quiet: bool = commands.quiet_option()
 
     def __post_init__(self) -> None:
         """Read the study; the unit without errors is solved with the parts."""
         self.study = study.load(self.source, solve=False)
         self.folder = results_folder(self.results, f"{self.study.name}-assembly")
-        self.phases = (READING, MATCHING, *([PRICING] if self.prices else []), WRITING)
+        self.phases = (commands.READING, MATCHING, *([PRICING] if self.prices else []), commands.WRITING)
 
 
 COSTLY = {"most_valued": 2**18, "most_fresh": 2**14}

@@ -9,22 +9,9 @@ from pathlib import Path
 import numpy as np
 
 import rvjax
-from rvjax import study
+from rvjax import commands, study
 from rvjax.base import progress
 from rvjax.base.files import versions
-from rvjax.commands import (
-    READING,
-    WRITING,
-    Inputs,
-    argument,
-    encoding_option,
-    option,
-    quiet_option,
-    results_option,
-    study_argument,
-    switch,
-    whole_number,
-)
 from rvjax.commands.cells import findings_data, measurement_section, measurement_warnings
 from rvjax.commands.compensate.corrections import Corrections, Curve, corrections, periodic
 from rvjax.compensation import FORMS, Correction, Left, exported, predicted, residual, table
@@ -53,7 +40,7 @@ POINTS = 720
 
 
 @dataclass(kw_only=True)
-class CompensateInputs(Inputs):
+class CompensateInputs(commands.Inputs):
     """Find the orders of measured error curves, choose those to store, compute the residual, and write the table.
 
     examples:
@@ -65,31 +52,33 @@ class CompensateInputs(Inputs):
     ending of FILE chooses the format: .csv, .json, .txt (Modelica), .xml (MJCF), .st (Structured Text).
     """
 
-    source: str = study_argument("; the command uses its ratio")
-    data: str = argument("measured curves", "DATA.csv")
-    export: Path | None = option(
+    source: str = commands.study_argument("; the command uses its ratio")
+    data: str = commands.argument("measured curves", "DATA.csv")
+    export: Path | None = commands.option(
         "write the table; with several curves one file for each (default: only the results folder)", "FILE", type=Path
     )
-    count: int | None = option(
-        "store at most N orders (default: all orders that reduce the error)", "N", type=whole_number
+    count: int | None = commands.option(
+        "store at most N orders (default: all orders that reduce the error)", "N", type=commands.whole_number
     )
-    angle_sd: float = option(
+    angle_sd: float = commands.option(
         "standard deviation of the zero of the table at the output, such as '20 arcsec' (default: 0)",
         "ANGLE",
         default="0 rad",
         unit="rad",
     )
-    points: int = option(
+    points: int = commands.option(
         "equal steps over one output revolution (default: 720, or more for high orders)",
         "N",
         default=POINTS,
-        type=whole_number,
+        type=commands.whole_number,
     )
-    side: str = option("where the correction is added (default: input)", default="input", choices=["input", "output"])
-    first_order: bool = switch("store order 1 too; it is usually the mounting of the encoder")
-    encoding: str | None = encoding_option()
-    results: str | None = results_option("STUDY-compensation")
-    quiet: bool = quiet_option()
+    side: str = commands.option(
+        "where the correction is added (default: input)", default="input", choices=["input", "output"]
+    )
+    first_order: bool = commands.switch("store order 1 too; it is usually the mounting of the encoder")
+    encoding: str | None = commands.encoding_option()
+    results: str | None = commands.results_option("STUDY-compensation")
+    quiet: bool = commands.quiet_option()
 
     def __post_init__(self) -> None:
         """Read the study, and check the file of the table."""
@@ -99,7 +88,7 @@ class CompensateInputs(Inputs):
             raise ValueError(f"--export {self.export}: there is no such folder")
         self.study = study.load(self.source, solve=False, needs=("design",))
         self.folder = results_folder(self.results, f"{self.study.name}-compensation")
-        self.phases = (READING, CORRECTING, WRITING)
+        self.phases = (commands.READING, CORRECTING, commands.WRITING)
 
 
 CORRECTING = "orders of the curves"

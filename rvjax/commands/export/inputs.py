@@ -7,19 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rvjax import study
+from rvjax import commands, study
 from rvjax.base.files import check_writable
-from rvjax.commands import (
-    READING,
-    WRITING,
-    Inputs,
-    argument,
-    flag_of,
-    option,
-    quiet_option,
-    study_argument,
-    whole_number,
-)
 from rvjax.geometry import DRAWINGS, PARTS
 from rvjax.records import PyTree
 from rvjax.running import FORMATS
@@ -38,7 +27,7 @@ SOLVING = "joint model"  # phase
 
 
 @dataclass(kw_only=True)
-class ExportInputs(Inputs):
+class ExportInputs(commands.Inputs):
     """Write the outlines of disc, ring and carrier for CAD and wire EDM (.dxf, .svg, .csv), the sizes for the drawing
     (.csv with --as sizes), or the joint model of the reducer for a simulator (.xml, .mo, .urdf, .json). Existing files
     are never overwritten.
@@ -62,55 +51,57 @@ class ExportInputs(Inputs):
     mjcf has the stiffness of the train; mjcf-soft has a constraint in its place, which allows a timestep of 1 ms.
     """
 
-    source: str = study_argument()
-    file: Path = argument("new file", "FILE", type=Path, ends="")
-    form: str = option(
+    source: str = commands.study_argument()
+    file: Path = commands.argument("new file", "FILE", type=Path, ends="")
+    form: str = commands.option(
         "format of the file (default: by its ending)",
         default="",
         choices=[*FORMATS, SIZES],
         flag="--as",
     )
-    unit: str = option(
+    unit: str = commands.option(
         "nominal (default), median, p99, or a .toml file with the table [errors]", "UNIT", default="nominal"
     )
-    rated_torque: float | None = option(
+    rated_torque: float | None = commands.option(
         "torque of stiffness and losses, such as '412 N m' (default: conditions.rated_torque)",
         "TORQUE",
         unit="N m",
         sign="positive",
     )
-    damping: float | None = option(
+    damping: float | None = commands.option(
         "damping of the elastic train at the output, such as '50 N m s/rad' (default: none)",
         "DAMPING",
         unit="N m s/rad",
         sign="nonnegative",
     )
-    input_inertia: float | None = option(
+    input_inertia: float | None = commands.option(
         "of input shaft and motor, such as '1e-4 kg m2' (default: from design.inertia)",
         "INERTIA",
         unit="kg m2",
         sign="positive",
     )
-    output_inertia: float | None = option(
+    output_inertia: float | None = commands.option(
         "of all that turns with the output (default: from design.inertia)", "INERTIA", unit="kg m2", sign="positive"
     )
-    samples: int | None = option("random units of median and p99 (default: 256)", "N", type=whole_number)
-    curve: Path | None = option(
+    samples: int | None = commands.option(
+        "random units of median and p99 (default: 256)", "N", type=commands.whole_number
+    )
+    curve: Path | None = commands.option(
         "write the transmission error over a turn of the output under the rated torque too (default: none)",
         "FILE.csv",
         type=Path,
         ends=".csv",
     )
-    part: str = option("part of the outline (default: disc)", default="disc", choices=[*PARTS, ALL])
-    disc: int = option("number of the disc, from 0 (default: 0)", "K", default=0, type=int)
-    chord: float | None = option(
+    part: str = commands.option("part of the outline (default: disc)", default="disc", choices=[*PARTS, ALL])
+    disc: int = commands.option("number of the disc, from 0 (default: 0)", "K", default=0, type=int)
+    chord: float | None = commands.option(
         "largest distance of flank and line, such as '5 um' (default: 1 um)", "LENGTH", unit="m", sign="positive"
     )
-    result: str | None = option(
+    result: str | None = commands.option(
         "results folder of rvjax allocate or design: its design and mid-points, and for sizes its tolerances",
         "FOLDER",
     )
-    quiet: bool = quiet_option()
+    quiet: bool = commands.quiet_option()
 
     def __post_init__(self) -> None:
         """Read the study and the unit, and check what a joint model needs.
@@ -137,7 +128,7 @@ class ExportInputs(Inputs):
         what, others = self._others()
         for f in dataclasses.fields(self):
             if f.name in others and getattr(self, f.name) != f.default:
-                raise ValueError(f"{flag_of(f.name)}: {self.file} is {what}, which has no such option")
+                raise ValueError(f"{commands.flag_of(f.name)}: {self.file} is {what}, which has no such option")
         self.chord = um if self.chord is None else self.chord
         if self.samples is not None and not statistic:
             raise ValueError(f"--samples {self.samples}: needs --unit {' or '.join(STATISTICS)}")
@@ -148,10 +139,10 @@ class ExportInputs(Inputs):
         toleranced = statistic or (self.form == SIZES and self.result is None)
         needs = ("design", "tolerances") if toleranced else ("design",)
         self.study = study.load(self.source, solve=False, needs=needs)
-        self.phases = (READING, WRITING)
+        self.phases = (commands.READING, commands.WRITING)
         if self.drawing or self.form == SIZES:
             return
-        self.phases = (READING, SOLVING, WRITING)
+        self.phases = (commands.READING, SOLVING, commands.WRITING)
         self.torque = self._checked()
         self.errors = None if statistic else _errors(self.unit, self.study.design)
         self.units = self.samples or UNITS
@@ -176,11 +167,10 @@ class ExportInputs(Inputs):
         if torque <= 0:
             raise ValueError(f"conditions.rated_torque = {torque:g}: must be positive")
         if FORMATS[self.form].inertias and getattr(design, "inertia", None) is None:
+            missing = f"{name}: design.inertia is missing: {self.form} needs both inertias"
             for key in ("input_inertia", "output_inertia"):
                 if getattr(self, key) is None:
-                    raise StudyError(
-                        f"{name}: design.inertia is missing: {self.form} needs both inertias; give {flag_of(key)}"
-                    )
+                    raise StudyError(f"{missing}; give {commands.flag_of(key)}")
         return torque
 
 

@@ -10,21 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rvjax import tolerances
+from rvjax import commands, tolerances
 from rvjax._jax.distributed import meet
 from rvjax._jax.sizes import CHUNK
 from rvjax.base import progress
-from rvjax.commands import (
-    READING,
-    Inputs,
-    option,
-    quiet_option,
-    share_cores,
-    study_argument,
-    switch,
-    units_placed,
-    whole_number,
-)
 from rvjax.commands.cells import evaluated, failures_text, met_text, rejects_texts, searched_texts, share
 from rvjax.commands.forecast import forewarn, unit_seconds
 from rvjax.commands.montecarlo import batch
@@ -34,7 +23,7 @@ from rvjax.tolerances import ENDINGS, Folder, Processes, Statistics, UnitFile
 
 
 @dataclass(kw_only=True)
-class MontecarloInputs(Inputs):
+class MontecarloInputs(commands.Inputs):
     """Sample units of a study with random errors and print the statistics of their responses. Memory does not grow with
     the number of units; all local devices share the work.
 
@@ -53,45 +42,47 @@ class MontecarloInputs(Inputs):
     the number of processes. A later run may have another number of them.
     """
 
-    source: str = study_argument(": rv-40e-whole (default), rv-40e, corr", default="rv-40e-whole")
-    samples: int | None = option(
-        "units, such as 250000 or 1e8 (default: the study's certificate_samples)", "N", type=whole_number
+    source: str = commands.study_argument(": rv-40e-whole (default), rv-40e, corr", default="rv-40e-whole")
+    samples: int | None = commands.option(
+        "units, such as 250000 or 1e8 (default: the study's certificate_samples)", "N", type=commands.whole_number
     )
-    seed: int | None = option("seed of the random numbers (default: the study's)", type=int)
-    sobol: bool = switch("scrambled Sobol points (default: random numbers)")
-    chunk: int | None = option("units at once (default: 32768)", "N", type=whole_number)
-    processes: int = option(
+    seed: int | None = commands.option("seed of the random numbers (default: the study's)", type=int)
+    sobol: bool = commands.switch("scrambled Sobol points (default: random numbers)")
+    chunk: int | None = commands.option("units at once (default: 32768)", "N", type=commands.whole_number)
+    processes: int = commands.option(
         "processes on this computer (default: 1); with --coordinator: on all computers",
         "N",
         default=1,
-        type=whole_number,
+        type=commands.whole_number,
     )
-    distributed: bool = switch(
+    distributed: bool = commands.switch(
         "share the units with the other processes of a Slurm, Open MPI or Kubernetes job; needs --checkpoint in a "
         "shared folder"
     )
-    coordinator: str | None = option(
+    coordinator: str | None = commands.option(
         "with --distributed: address of the first process, where no cluster gives it", "HOST:PORT"
     )
-    process_id: int | None = option(
+    process_id: int | None = commands.option(
         "with --coordinator: number of this process, 0 to --processes - 1 (default: of srun or mpirun)", "K", type=int
     )
-    timeout: int | None = option(
-        "with --distributed: seconds to wait for a missing process (default: 120)", "S", type=whole_number
+    timeout: int | None = commands.option(
+        "with --distributed: seconds to wait for a missing process (default: 120)", "S", type=commands.whole_number
     )
-    checkpoint: str | None = option("resume from this file after an interruption; written once a second", "FILE")
-    json: str | None = option("write the statistics (default: only print)", "FILE.json", ends=".json")
-    save: str | None = option(
+    checkpoint: str | None = commands.option(
+        "resume from this file after an interruption; written once a second", "FILE"
+    )
+    json: str | None = commands.option("write the statistics (default: only print)", "FILE.json", ends=".json")
+    save: str | None = commands.option(
         "write every unit: .npz responses and statistics; .csv or .parquet (extra parquet) a table of number, "
         "status and responses in SI, in constant memory",
         "FILE",
         ends=(".npz", *ENDINGS),
     )
-    save_errors: bool = switch(
+    save_errors: bool = commands.switch(
         "write every sampled error too, one column for each element (with --save FILE.csv or .parquet)"
     )
-    quiet: bool = quiet_option()
-    worker: list[str] | None = option(None, nargs=3)
+    quiet: bool = commands.quiet_option()
+    worker: list[str] | None = commands.option(None, nargs=3)
 
     def __post_init__(self) -> None:
         """Meet all processes; each core becomes a device."""
@@ -101,11 +92,11 @@ class MontecarloInputs(Inputs):
         if self.table is not None:
             UnitFile(self.table)  # raises an error for a missing extra before any work
         self.group = _group_of(self)
-        share_cores(int(self.worker[2]) if self.worker else 1)
+        commands.share_cores(int(self.worker[2]) if self.worker else 1)
         self.shown = not self.quiet
         # The first of several processes has a line of its own, the others are silent.
         self.quiet |= self.processes > 1 if self.group is None else self.group.number > 0
-        self.started, self.phases = time.perf_counter(), (READING, COUNTED)
+        self.started, self.phases = time.perf_counter(), (commands.READING, COUNTED)
 
 
 COUNTED = "drawing units"
@@ -144,7 +135,7 @@ def compute(inputs: MontecarloInputs) -> Sampled | None:
             device = f"the processor, {inputs.processes} processes"
             found = batch.run_in_processes(inputs.command, inputs.processes, text=loaded.text)
         else:
-            with units_placed(lambda: _seconds(inputs, loaded)) as device:
+            with commands.units_placed(lambda: _seconds(inputs, loaded)) as device:
                 found = _run(inputs, loaded, group)
     if not first:
         return None

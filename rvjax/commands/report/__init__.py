@@ -7,18 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import rvjax
+from rvjax import commands
 from rvjax.base import progress
 from rvjax.base.files import check_writable
-from rvjax.commands import (
-    READING,
-    Inputs,
-    option,
-    quiet_option,
-    study_argument,
-    switch,
-    tell,
-    units_placed,
-)
 from rvjax.commands.allocate import FILE, Answer, answer, headline, report_on, restored_from
 from rvjax.commands.budget import budget_if_any, section_on
 from rvjax.commands.forecast import expected, forewarn, phases_of, read_study, seconds_of_units
@@ -32,7 +23,7 @@ from rvjax.study import Study
 
 
 @dataclass(kw_only=True)
-class ReportInputs(Inputs):
+class ReportInputs(commands.Inputs):
     """Find the cheapest tolerances as `allocate` does and write one HTML page: status, tolerances and cost,
     distributions with Cp and Cpk, the reducer to scale with the source of every value, influence of each error,
     worst units, levels, seed and versions.
@@ -47,21 +38,21 @@ class ReportInputs(Inputs):
     there. exit code 1: no tolerances meet the requirements, or the result is not certified.
     """
 
-    source: str = study_argument(
+    source: str = commands.study_argument(
         ": rv-40e-whole (default: loaded reducer, a minute or two), rv-40e (four-bar model, seconds), corr",
         default="rv-40e-whole",
     )
-    output: Path | None = option(
+    output: Path | None = commands.option(
         "the page, replaced if it exists (default: report.html in a new folder results/STUDY)",
         "FILE.html",
         type=Path,
         ends=".html",
     )
-    sliders: bool = switch(
+    sliders: bool = commands.switch(
         "compute sliders for a study of the loaded reducer too, which takes minutes; other studies have them"
     )
-    fresh: bool = switch("write the page again, even if it shows the stored result")
-    quiet: bool = quiet_option()
+    fresh: bool = commands.switch("write the page again, even if it shows the stored result")
+    quiet: bool = commands.quiet_option()
 
     def __post_init__(self) -> None:
         """Read the study, and find its stored result and the page that may show it."""
@@ -81,7 +72,7 @@ class ReportInputs(Inputs):
             self.shown = shows(self.output, self.stored, self.source, self.sliders)
         if not self.shown:
             after = SLIDERS if self.sliders else SECTIONS, WRITING
-            self.phases = phases_of(READING, *after) if self.answer is None else (READING, *after)
+            self.phases = phases_of(commands.READING, *after) if self.answer is None else (commands.READING, *after)
 
 
 def mark(result: bytes, source: str, sliders: bool) -> bytes:
@@ -119,8 +110,8 @@ def compute(inputs: ReportInputs) -> Shown | None:
     """Compute or read the result; compute surrogate, budget, lives and losses. None if the page shows all that."""
     if inputs.shown:
         return None
-    with units_placed(lambda: seconds_of_units(inputs.study) if inputs.answer is None else 0.0) as device:
-        tell(device)
+    with commands.units_placed(lambda: seconds_of_units(inputs.study) if inputs.answer is None else 0.0) as device:
+        commands.tell(device)
         found = inputs.answer or answer.answer(inputs.study, progress=not inputs.quiet)
         progress.begin(SLIDERS if inputs.sliders else SECTIONS)
         moved = response_surface.surrogate(found) if inputs.sliders else None

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rvjax import catalogue, levels, models
+from rvjax import catalogue, models
 from rvjax._jax.sizes import PULLED, padded
 from rvjax.base.words import words
 from rvjax.commands.allocate import (
@@ -22,7 +22,7 @@ from rvjax.commands.allocate import (
 )
 from rvjax.commands.budget.effects import influence_tables
 from rvjax.commands.cells import against_limit, condition_text, share
-from rvjax.commands.forecast import shown_values
+from rvjax.commands.forecast import choices, shown_values
 from rvjax.commands.report import response_surface, sliders
 from rvjax.population import Population, root_key
 from rvjax.records import PyTree
@@ -215,21 +215,20 @@ def _worst(answer: Answer, drawn: dict[str, Figure]) -> Section:
 
 def _levels(answer: Answer) -> Section:
     study = answer.study
-    outputs = tuple(study.requirements)
-    given = levels.as_given(study.design, outputs, study.conditions, tolerances=study.tolerances)
     rows = []
-    for name, choice in (given | study.choices()).items():
-        unit, size = study.output(name).shown
-        wanted = with_unit(study.accuracy[name] / size, unit, ".3g") if name in study.accuracy else None
+    for name, choice in choices(study).items():
+        output = study.output(name)
+        unit, size = output.shown
+        wanted = output.text(study.accuracy[name], ".3g") if name in study.accuracy else None
         bound = None if choice.bound is None else f"< {with_unit(float(f'{choice.bound / size:.2g}'), unit, 'g')}"
         spent = None if choice.ns is None else f"{choice.ns / 1e3:.3g} us"
-        rows.append([Titled(name, study.output(name).meaning), choice.level, wanted, bound, spent, choice.why])
+        rows.append([Titled(name, output.meaning), choice.level, wanted, bound, spent, choice.why])
     short = [Text(title) for title in ("required accuracy", "its error", "time of a unit")]
     columns = [Text("response"), Text("level", wraps=True), *short, Text("why", wraps=True)]
     about = {f.name: f.metadata for f in dataclasses.fields(study.conditions)}
     conditions = ", ".join(
         f"{words(key)} = {condition_text(value, about[key])}"
-        for key in models.kind(study.design).conditions_of(outputs)
+        for key in models.kind(study.design).conditions_of(tuple(study.requirements))
         if (value := getattr(study.conditions, key)) is not None
     )
     text = (

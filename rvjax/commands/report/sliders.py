@@ -144,11 +144,8 @@ def _range(found: Surrogate, k: int, answer: Answer) -> tuple[float, float]:
 
 def _field(name: str, found: Surrogate, answer: Answer) -> dict[str, Any]:
     study, tolerance = answer.study, getattr(answer.after.tolerances, name)
-    (unit, size), (what, half_widths), form = (
-        readable(study.unit(name)),
-        stated_by(study.forms, name),
-        study.forms.get(name),
-    )
+    (unit, size), (what, half_widths) = readable(study.unit(name)), stated_by(study.forms, name)
+    form = study.forms.get(name)
     places = {p.place: k for k, p in enumerate(found.parameters) if p.field == name}
     given, cost = getattr(study.tolerances, name), study.costs.get(name)
     priced = None if cost is None else cost_data(cost, size)
