@@ -226,12 +226,8 @@ def report(inputs: AllocateInputs, found: Answer | None) -> Report:
     said = f"Unchanged since {place} was written: this is its stored result. --fresh replaces it."
     stored = answer.restored(inputs.study, place)  # fits the terminal; the summary has the lines of a file
     shown = report_on(stored).content if stored else (Note((place / "summary.txt").read_text("utf-8").strip()),)
-    return Report(
-        title=inputs.study.name,
-        content=(*shown, Note(said)),
-        ok=answer.status(place) == "OPTIMAL",
-        data=json.loads((place / "result.json").read_text()) | {"results": str(place)},
-    )
+    data = json.loads((place / "result.json").read_text("utf-8")) | {"results": str(place)}
+    return Report(title=inputs.study.name, content=(*shown, Note(said)), ok=data["status"] == "OPTIMAL", data=data)
 
 
 def report_on(answer: Answer) -> Report:

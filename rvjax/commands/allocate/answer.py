@@ -302,11 +302,6 @@ def restored(study: Study, place: Path) -> Answer | None:
         return None
 
 
-def status(place: Path) -> str:
-    """Read the final status of the allocation in a results folder."""
-    return str(json.loads((place / "result.json").read_text("utf-8"))["status"])
-
-
 def _holds(place: Path, study: Study) -> bool:
     try:
         if (place / "study.toml").read_text("utf-8") != study.text or not (place / "summary.txt").is_file():

@@ -5,6 +5,7 @@ misfits of a direction are never attributed to errors of parts. Whether one head
 """
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -266,9 +267,7 @@ def doubts(answer: Identified) -> list[str]:
 def verdict_line(answer: Identified) -> str:
     """Count the elements and the combinations that the data identify."""
     own = [name for name in answer.check.names if field_of(name) not in answer.problem.nuisance]
-    counts = {
-        kind: sum(answer.check.verdict[n] == kind for n in own) for kind in ("identified", "combination", "unseen")
-    }
+    counts = Counter(answer.check.verdict[name] for name in own)
     many = f"{len(own)} elements: {counts['identified']} identified"
     return f"{many}, {counts['combination']} in combinations only, {counts['unseen']} unseen"
 

@@ -3,6 +3,7 @@
 import dataclasses
 import hashlib
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -115,20 +116,19 @@ def compute(inputs: ReportInputs) -> Shown | None:
         found = inputs.answer or answer.answer(inputs.study, progress=not inputs.quiet)
         progress.begin(SLIDERS if inputs.sliders else SECTIONS)
         moved = response_surface.surrogate(found) if inputs.sliders else None
-        bearings, friction, budget = _sections(inputs.study, found.allocation.tolerances)
+        sections = tuple(_sections(inputs.study, found.allocation.tolerances))
         progress.begin(WRITING)
-    return Shown(found, moved, budget, bearings, friction)
+    return Shown(found, moved, sections)
 
 
-def _sections(study: Study, tolerances: object) -> tuple[Section | None, ...]:
-    """Sections on bearing lives, friction and the error budget."""
-    lives, losses = lives_if_any(study, tolerances), losses_if_any(study, tolerances)
-    budget = budget_if_any(study, tolerances)
-    return (
-        bearing_section(lives, study) if lives else None,
-        friction_section(losses, study) if losses else None,
-        section_on(budget) if budget else None,
-    )
+def _sections(study: Study, tolerances: object) -> Iterator[Section]:
+    """Sections on the error budget, bearing lives and friction, if the study has them."""
+    if budget := budget_if_any(study, tolerances):
+        yield section_on(budget)
+    if lives := lives_if_any(study, tolerances):
+        yield bearing_section(lives, study)
+    if losses := losses_if_any(study, tolerances):
+        yield friction_section(losses, study)
 
 
 def report(inputs: ReportInputs, found: Shown | None) -> Report:

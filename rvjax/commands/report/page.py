@@ -53,28 +53,24 @@ SHARE_SHOWN = 0.01  # of the variance: errors below it are not listed for a wors
 
 @dataclass(frozen=True)
 class Shown:
-    """Result with the surrogate, the error budget, the bearing lives and the friction of its page.
+    """Result with the surrogate and further sections of its page.
 
     Attributes:
         answer: result of the study.
         surrogate: behind the sliders, None where nothing can move, or without sliders.
-        budget: on that of the allocated tolerances, None where the study has none.
-        bearings: on their lives with the allocated tolerances, None where the study requires none.
-        friction: on losses with the allocated tolerances, None where the study requires none.
+        sections: on error budget, bearing lives and friction with the allocated tolerances, if the study has them.
     """
 
     answer: Answer
     surrogate: response_surface.Surrogate | None = None
-    budget: Section | None = None
-    bearings: Section | None = None
-    friction: Section | None = None
+    sections: tuple[Section, ...] = ()
 
 
 def page_of(found: Shown, source: str, *, date: str = "") -> str:
     """The whole page; it lacks the sections of what was not found, and a date if none is given.
 
     Args:
-        found: result, surrogate, budget and bearing lives.
+        found: result, surrogate and further sections.
         source: of the study, as named.
         date: of the result.
     """
@@ -86,8 +82,7 @@ def page_of(found: Shown, source: str, *, date: str = "") -> str:
     sections += [sliders.block(found.surrogate, answer)] if found.surrogate else []
     sections += [sliders.without(source)] if study.costly and not found.surrogate else []
     sections += [design_section(study), _influence(answer, drawn)]
-    sections += [section for section in (found.budget, found.bearings, found.friction) if section]
-    sections += [_worst(answer, drawn), _levels(answer)]
+    sections += [*found.sections, _worst(answer, drawn), _levels(answer)]
     about = dict(study=study.name, author=study.about.author, revision=study.about.revision, computed=date)
     certificate = answer.allocation.certificate
     seeds = f"{study.seed} (certificate {certificate.seed}, sample units {answer.after.seed})"
