@@ -131,7 +131,7 @@ def test_costs_of_other_starts_are_one_line():
 def test_limits_without_a_unit_end_with_their_number():
     """A ratio has no unit: no dash follows its limit."""
     asked = SimpleNamespace(
-        nominal={"ratio": Nominal(lower=1.3, upper=2.0)}, output=lambda _: SimpleNamespace(shown=("-", 1.0))
+        nominal={"ratio": Nominal(lower=1.3, upper=2.0)}, output=lambda name: Output("-", name, None)
     )
     assert nominal_limit(asked, "ratio") == ">= 1.3 and <= 2" and nominal_limit(asked, "mass") == "-"
 

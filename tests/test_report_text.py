@@ -39,7 +39,7 @@ def headline(**changes):
     target = changes.pop("target", None)
     study = SimpleNamespace(
         name="s", about=About(), joint_target=target, losses={},
-        output=lambda name: SimpleNamespace(shown=("arcmin", arcmin)),
+        output=lambda name: Output("rad", name, None, read_in="arcmin"),
         requirements=dict.fromkeys(("error", "met", "lost"), Requirement(upper=1 * arcmin)),
         assumed_limits=(), assumed=[],
     )  # fmt: skip
@@ -55,7 +55,7 @@ def test_losses_are_stated_before_and_after_with_the_cost():
         return SimpleNamespace(confidence=0.95, infinite={"error": 0}, mean=about, sd=about)
 
     losses = {"error": QuadraticLoss(2.0, 1 * arcmin)}
-    study = SimpleNamespace(losses=losses, output=lambda name: SimpleNamespace(shown=("arcmin", arcmin)))
+    study = SimpleNamespace(losses=losses, output=lambda name: Output("rad", name, None, read_in="arcmin"))
     after = expected_losses(losses, units(0.25))
     whole = Estimate(8.25, 0.0, 8.25, 8.25)
     answer = SimpleNamespace(
