@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rvjax import catalogue, cli, published
-from rvjax.commands.reproduce import report_on
+from rvjax.commands.reproduce import ReproduceInputs, report
 from rvjax.published import rv160
 from rvjax.units import arcmin, mm, parse
 
@@ -214,7 +214,7 @@ def test_reproduce_prints_a_table_with_the_right_values(capsys, monkeypatch, row
     of_first = sum(name.startswith(f"{first}.") for name in wrong)
     assert f"the error is the source's ({of_first} in {first}, " in text.splitlines()[-1] and of_first < len(wrong)
     fine = [row for row in rows.values() if row.status == "reproduced"]
-    assert "contradicted" not in report_on(fine).text()
+    assert "contradicted" not in report(ReproduceInputs(), fine).text()
 
 
 def test_reproduce_says_which_source_it_computes(capsys, monkeypatch):

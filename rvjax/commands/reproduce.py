@@ -34,32 +34,22 @@ def compute(inputs: ReproduceInputs) -> list[Comparison]:
 
 
 def report(inputs: ReproduceInputs, found: Sequence[Comparison]) -> Report:
-    """The report on the comparisons.
+    """Published and computed values, with the counts of the verdicts.
 
     Args:
         inputs: inputs of the command.
         found: its result.
     """
-    return report_on(found, notes=inputs.notes)
-
-
-def report_on(rows: Sequence[Comparison], *, notes: bool = False) -> Report:
-    """Published and computed values, with the counts of the verdicts.
-
-    Args:
-        rows: comparisons.
-        notes: with the claim and the note under each row.
-    """
     columns = [Text(t) for t in ("figure", "published", "computed", "unit", "physically right", "verdict")]
-    cells = [[row.id, show(row.published), show(row.computed), row.unit, show(row.right), row.status] for row in rows]
-    under = [f"    {row.claim}" + (f" -- {row.note}" if row.note else "") for row in rows] if notes else []
-    verdicts = sorted({row.status for row in rows})
-    counts = ", ".join(f"{sum(row.status == verdict for row in rows)} {verdict}" for verdict in verdicts)
-    said = [f"{len(rows)} figures: {counts}", *_whose_error(rows)]
+    cells = [[row.id, show(row.published), show(row.computed), row.unit, show(row.right), row.status] for row in found]
+    under = [f"    {row.claim}" + (f" -- {row.note}" if row.note else "") for row in found] if inputs.notes else []
+    verdicts = sorted({row.status for row in found})
+    counts = ", ".join(f"{sum(row.status == verdict for row in found)} {verdict}" for verdict in verdicts)
+    said = [f"{len(found)} figures: {counts}", *_whose_error(found)]
     return Report(
         title="Published values",
         content=(Table("comparison", columns, cells, under=under), Note("\n".join(said))),
-        data=[row.as_json() for row in rows],
+        data=[row.as_json() for row in found],
     )
 
 

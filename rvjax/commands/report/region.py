@@ -61,8 +61,8 @@ class Sample:
     z: np.ndarray
     seed: int
 
-    def tolerances(self, x: np.ndarray) -> dict[str, Tolerance]:
-        """Tolerances of the fields that move, x in reaches."""
+    def at(self, x: np.ndarray) -> Population:
+        """The population at x (p,), in reaches."""
         made: dict[str, Tolerance] = {}
         for p, step in zip(self.parameters, map(float, x)):
             if not step:
@@ -73,11 +73,7 @@ class Sample:
                 made[p.field] = tolerance.replace(lower=tolerance.lower + way, upper=tolerance.upper + way)
             else:
                 made[p.field] = tolerance.scaled(p.centre + step * p.reach)  # also of a clearance below 0
-        return made
-
-    def at(self, x: np.ndarray) -> Population:
-        """The population at x (p,)."""
-        return self.population.with_tolerances(self.tolerances(x))
+        return self.population.with_tolerances(made)
 
     def errors(self, x: np.ndarray, units: np.ndarray | None = None) -> np.ndarray:
         """Errors (elements, units) at x.
