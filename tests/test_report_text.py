@@ -17,7 +17,7 @@ from matplotlib.axes import Axes
 from rvjax import Status
 from rvjax.commands import allocate
 from rvjax.commands.allocate import losses_of
-from rvjax.commands.allocate.tables import _Price
+from rvjax.commands.allocate.tables import _price
 from rvjax.commands.cells import against_limit, condition_text, evaluated, failures_text, price_text, share
 from rvjax.commands.montecarlo import report_on
 from rvjax.outputs import Output
@@ -75,7 +75,7 @@ def test_a_price_that_no_search_found_is_unknown():
     error = SimpleNamespace(shown=("arcmin", arcmin))
     cells = [(price, error, None) for price in (math.nan, 0.0, -2 / arcmin)]
     cells.append((-2 / arcmin, error, (-2.5 / arcmin, -1 / arcmin)))
-    said = [_Price("shadow price").text(cell) for cell in cells]
+    said = [_price(*cell) for cell in cells]
     assert said == ["unknown", "not binding", "-2 /arcmin", "-2 [-2.5, -1] /arcmin"]
 
 

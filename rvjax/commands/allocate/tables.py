@@ -15,10 +15,9 @@ from rvjax.base.files import versions
 from rvjax.commands import cells
 from rvjax.commands.allocate.answer import Answer
 from rvjax.commands.budget.effects import IN_FILE, NOT_IN_FILE
+from rvjax.outputs import Output
 from rvjax.render import (
     PAGE,
-    Cell,
-    Column,
     Figure,
     Interval,
     Limits,
@@ -98,37 +97,15 @@ def drawing_table(answer: Answer) -> Table:
     return cells.sizes_table(sizes_of(answer.study.design, answer.allocation.tolerances))
 
 
-@dataclass(frozen=True)
-class _Limit(Column):
-    """Limits of a response: one text, two numbers in a file; cells are (requirement, output)."""
-
-    def headers(self) -> list[str]:
-        """Headers in a CSV file."""
-        return ["lower limit", "upper limit"]
-
-    def _said(self, cell: Cell) -> str:
-        return cells.limit_text(*cell)
-
-    def _given(self, cell: Cell) -> list[Value]:
-        requirement, output = cell
-        return [number(limit, output.shown[1]) for limit in (requirement.lower, requirement.upper)]
-
-
-@dataclass(frozen=True)
-class _Price(Column):
-    """Shadow prices per unit of the response: cells are (price per SI unit, output, its interval or None)."""
-
-    def _said(self, cell: Cell) -> str:
-        price, (unit, size) = cell[0], cell[1].shown
-        if not price:
-            return "not binding"
-        if math.isnan(price):
-            return "unknown"
-        ends = "" if cell[2] is None else " [{:.4g}, {:.4g}]".format(*(end * size for end in cell[2]))
-        return f"{price * size:.4g}{ends} /{unit}"
-
-    def _given(self, cell: Cell) -> list[Value]:
-        return [number(cell[0] * cell[1].shown[1])]
+def _price(price: float, output: Output, interval: tuple[float, float] | None) -> str:
+    """A shadow price per unit of the response as text; `price` and its interval are per SI unit."""
+    unit, size = output.shown
+    if not price:
+        return "not binding"
+    if math.isnan(price):
+        return "unknown"
+    ends = "" if interval is None else " [{:.4g}, {:.4g}]".format(*(end * size for end in interval))
+    return f"{price * size:.4g}{ends} /{unit}"
 
 
 @dataclass(frozen=True)
@@ -152,14 +129,17 @@ class RequirementRow:
 
     requirement: str = column(Text("requirement"))
     unit: str = column(Text("unit", on=IN_FILE))
-    limit: tuple[Any, Any] = column(_Limit("limit"))
+    limit: str = column(Text("limit", on=NOT_IN_FILE))
+    lower: float | None = column(Number("lower limit", on=IN_FILE))
+    upper: float | None = column(Number("upper limit", on=IN_FILE))
     goal: float | None = column(Number("target", on=IN_FILE))
     target: str = column(Text("target", file_title="requires"))
     unit_of_value: str = column(Text("unit of the figure", on=IN_FILE))
     before: Quantity = column(Interval("yield before [interval]", file_title="before"))
     after: Quantity = column(Interval("yield after [interval]", file_title="after"))
     met: str = column(_Met("met after", on=IN_FILE))
-    price: tuple[Any, ...] = column(_Price("shadow price", file_title="shadow price per unit"))
+    price: str = column(Text("shadow price", on=NOT_IN_FILE))
+    per_unit: float | None = column(Number("shadow price per unit", on=IN_FILE))
     graded: Quantity | str = column(Interval("yield graded [interval]", on=ON_PAGE))
     verdict: str = column(_Met("verdict", on=ON_PAGE))
 
@@ -169,20 +149,24 @@ def requirement_table(answer: Answer) -> Table:
     study, allocation = answer.study, answer.allocation
     graded, rows = allocation.graded, []
     for name, requirement in study.requirements.items():
-        output = study.output(name)
+        output, price = study.output(name), cells.binding(allocation, name)
+        unit, size = output.shown
         before, after = (side.verdicts[name] for side in (answer.certificate_before, allocation.certificate))
         met = cells.met_text(requirement, after, allocation.certificate.samples)
         row = RequirementRow(
             requirement=Titled(name, output.meaning),
-            unit=output.shown[0],
-            limit=(requirement, output),
+            unit=unit,
+            limit=cells.limit_text(requirement, output),
+            lower=number(requirement.lower, size),
+            upper=number(requirement.upper, size),
             goal=getattr(requirement, requirement.goal) if requirement.goal else None,
             target=requirement.text(),
-            unit_of_value=output.shown[0] if before.kind == "response" else "-",
+            unit_of_value=unit if before.kind == "response" else "-",
             before=cells.evaluated(before, output),
             after=cells.evaluated(after, output),
             met=met,
-            price=(cells.binding(allocation, name), output, allocation.multiplier_intervals.get(name)),
+            price=_price(price, output, allocation.multiplier_intervals.get(name)),
+            per_unit=number(price * size),
             graded=cells.evaluated(graded.certificate.verdicts[name], output) if graded else "",
             verdict=met,
         )
