@@ -42,12 +42,12 @@ from rvjax.render import (
     Share,
     Table,
     Text,
-    Value,
     column,
 )
 from rvjax.study import Loop, Run, orders_of, part_orders
 
 MOST_ROWS, MOST_ON_PAGE, MOST_UNITS = 60, 40, 6
+SHOWN = frozenset({TEXT, PAGE})
 SEEN = 1e-3  # resolution of the elements that a table of text lists
 NIL = 1e-4  # share of an interval, or chance, that is rounding
 
@@ -130,34 +130,13 @@ def _fit_lines(found: Identified) -> list[str]:
     return lines
 
 
-@dataclass(frozen=True)
-class _Value(Number):
-    """Most probable values; one that is 0 but for rounding is shown as 0."""
-
-    def _said(self, cell: Quantity) -> str:
-        name, size = cell.shown
-        return f"{_rounded(cell, cell.value, size)} {name}"
-
-
-@dataclass(frozen=True)
-class _Span(Column):
-    """Both ends of intervals."""
-
-    def headers(self) -> list[str]:
-        """Headers in a CSV file."""
-        return ["lower", "upper"]
-
-    def _said(self, cell: Quantity) -> str:
-        assert cell.lower is not None and cell.upper is not None
-        return " .. ".join(_rounded(cell, end, cell.shown[1]) for end in (cell.lower, cell.upper))
-
-    def _given(self, cell: Quantity) -> list[Value]:
-        return list(cell.numbers()[1:])
-
-
-def _rounded(cell: Quantity, value: float, size: float) -> str:
-    assert cell.lower is not None and cell.upper is not None
-    return f"{0.0 if abs(value) < NIL * (cell.upper - cell.lower) else value / size:.4g}"
+def _texts(found: Quantity) -> tuple[str, str]:
+    """Most probable value and 95 % interval; a number that is 0 but for rounding is shown as 0."""
+    assert found.lower is not None and found.upper is not None
+    (name, size), least = found.shown, NIL * (found.upper - found.lower)
+    ends = (found.value, found.lower, found.upper)
+    value, lower, upper = (f"{0.0 if abs(end) < least else end / size:.4g}" for end in ends)
+    return f"{value} {name}", f"{lower} .. {upper}"
 
 
 @dataclass(frozen=True)
@@ -176,8 +155,11 @@ class ElementRow:
     unit: str = column(Text("unit", on=frozenset({CSV})))
     verdict: str = column(Text("verdict"))
     resolution: float = column(Share("known better by"))
-    value: Quantity | None = column(_Value("value"), None)
-    span: Quantity | None = column(_Span("95 % interval"), None)
+    value: str | None = column(Text("value", on=SHOWN), None)
+    span: str | None = column(Text("95 % interval", on=SHOWN), None)
+    number: float | None = column(Number("value", on=frozenset({CSV})), None)
+    lower: float | None = column(Number("lower", on=frozenset({CSV})), None)
+    upper: float | None = column(Number("upper", on=frozenset({CSV})), None)
     broken: float | None = column(_Chance("beyond limit", file_title="chance beyond limit", form=".3g"), None)
 
 
@@ -190,7 +172,7 @@ def _elements(found: Identified) -> list[Table | Note]:
         about = name, unit_of(found, name)[1], str(check.verdict[name]), max(check.resolution[name], 0.0)
         if posterior is not None and fields:
             value = _quantity(found, name, *(values[name] for values in fields))
-            rows.append(ElementRow(*about, value, value, posterior.broken.get(name, 0.0)))
+            rows.append(ElementRow(*about, *_texts(value), *value.numbers(), posterior.broken.get(name, 0.0)))
         else:
             rows.append(ElementRow(*about))
     seen = [row for row in rows if check.resolution[row.element] >= SEEN][:MOST_ROWS]
