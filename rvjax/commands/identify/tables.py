@@ -171,8 +171,9 @@ def _elements(found: Identified) -> list[Table | Note]:
     for name in sorted(check.names, key=lambda name: -check.resolution[name]):
         about = name, unit_of(found, name)[1], str(check.verdict[name]), max(check.resolution[name], 0.0)
         if posterior is not None and fields:
-            value = _quantity(found, name, *(values[name] for values in fields))
-            rows.append(ElementRow(*about, *_texts(value), *value.numbers(), posterior.broken.get(name, 0.0)))
+            size = _quantity(found, name, *(values[name] for values in fields))
+            value, lower, upper = size.numbers()
+            rows.append(ElementRow(*about, *_texts(size), value, lower, upper, posterior.broken.get(name, 0.0)))
         else:
             rows.append(ElementRow(*about))
     seen = [row for row in rows if check.resolution[row.element] >= SEEN][:MOST_ROWS]
