@@ -107,6 +107,7 @@ def missed_at_mid_points(study: Study, values: Mapping[str, float]) -> dict[str,
 
 SEARCHING, CERTIFYING = "cheapest tolerances", "yield before"  # phases of a run
 SAMPLING, PRICING = "sample units", "cost against yield"
+ALLOCATING = (SEARCHING, CERTIFYING, SAMPLING, PRICING)
 SHOWN_VALUES = KEPT  # units behind a histogram: those of the certificate where it has no more
 FEWEST_BEYOND = 8  # units of the learning sample beyond a limit, below which a point of the cost curve is left out
 YIELD_SWEEP = (0.9, 0.95, 0.99, 0.995, 0.999)
@@ -181,13 +182,3 @@ def expected(study: Study) -> str:
         f"measured table, besides tracing and compilation ({COMPILING[study.costly]} at the first run); "
         f"chunks of {BLOCK:,} units, memory does not grow with their number"
     )
-
-
-def phases_of(before: str, *after: str) -> tuple[str, ...]:
-    """Phases of a run.
-
-    Args:
-        before: phase before it.
-        *after: phases after it.
-    """
-    return before, SEARCHING, CERTIFYING, SAMPLING, PRICING, *after

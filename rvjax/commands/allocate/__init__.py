@@ -32,7 +32,7 @@ from rvjax.commands.allocate.tables import (
 )
 from rvjax.commands.budget.effects import influence_tables
 from rvjax.commands.cells import assumed_text, failures_text, limit_text, rejects_texts, searched_texts, share
-from rvjax.commands.forecast import expected, forewarn, phases_of, read_study, seconds_of_units, warned
+from rvjax.commands.forecast import ALLOCATING, expected, forewarn, read_study, seconds_of_units, warned
 from rvjax.life import dynamic_rating
 from rvjax.outputs import Output
 from rvjax.population import Estimate, deviate_of
@@ -196,7 +196,7 @@ class AllocateInputs(commands.Inputs):
         if self.stored is not None:
             self.quiet = True
             return
-        self.phases = phases_of(commands.READING, commands.WRITING)
+        self.phases = (commands.READING, *ALLOCATING, commands.WRITING)
         self.folder, self.over = results_folder(self.results, self.study.name, stored), stored is not None
         forewarn(self.study, expected(self.study))
         self.memo = answer.memo(self.study, self.folder)

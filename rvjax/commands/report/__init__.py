@@ -13,7 +13,7 @@ from rvjax.base import progress
 from rvjax.base.files import check_writable
 from rvjax.commands.allocate import FILE, Answer, answer, headline, report_on, restored_from
 from rvjax.commands.budget import budget_if_any, section_on
-from rvjax.commands.forecast import expected, forewarn, phases_of, read_study, seconds_of_units
+from rvjax.commands.forecast import ALLOCATING, expected, forewarn, read_study, seconds_of_units
 from rvjax.commands.report import response_surface
 from rvjax.commands.report.bearings import bearing_section, lives_if_any
 from rvjax.commands.report.friction import friction_section, losses_if_any
@@ -72,8 +72,8 @@ class ReportInputs(commands.Inputs):
         if self.stored is not None and self.output is not None and not self.fresh:
             self.shown = shows(self.output, self.stored, self.source, self.sliders)
         if not self.shown:
-            after = SLIDERS if self.sliders else SECTIONS, WRITING
-            self.phases = phases_of(commands.READING, *after) if self.answer is None else (commands.READING, *after)
+            before = ALLOCATING if self.answer is None else ()
+            self.phases = (commands.READING, *before, SLIDERS if self.sliders else SECTIONS, WRITING)
 
 
 def mark(result: bytes, source: str, sliders: bool) -> bytes:
