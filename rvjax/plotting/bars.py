@@ -276,7 +276,7 @@ def error_budget(budget: Any, *, orders: int = 8) -> Figure:
     """
     unit, size = ("arcsec", arcsec) if budget.unit == "rad" else (budget.unit, 1.0)
     shares = {load: budget.shares("part", load) for load in budget.torque}
-    parts = sorted({*budget.part.values()}, key=lambda part: -sum(share[part] for share in shares.values()))
+    parts = sorted(dict.fromkeys(budget.part.values()), key=lambda part: -sum(share[part] for share in shares.values()))
     figure, (above, below) = plt.subplots(2, 1, figsize=(7.6, 6.8), height_ratios=(1, 1.6))
     loads = {load: f"{torque:.4g} N m" for load, torque in budget.torque.items()}
     rows = {
