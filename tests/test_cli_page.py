@@ -26,7 +26,7 @@ from rvjax.commands.report import ReportInputs, Shown, page_of, sliders
 from rvjax.commands.report.page import WorstUnit, rows_of, worst_units
 from rvjax.population.sample_statistics import CentralMoments, Sampled
 from rvjax.render import write_files
-from rvjax.study.about import About
+from rvjax.study.study import About
 from rvjax.tolerances import Estimate, Verdict, influences
 
 pytestmark = pytest.mark.usefixtures("answers")

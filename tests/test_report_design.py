@@ -6,7 +6,7 @@ from rvjax import catalogue, study
 from rvjax.commands.cells import assumed_text
 from rvjax.commands.report.page import design_section
 from rvjax.render import Figure, Report
-from rvjax.study.about import About
+from rvjax.study.study import About
 
 HEAD = """
 [requirement.lost_motion]

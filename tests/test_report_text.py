@@ -24,7 +24,7 @@ from rvjax.outputs import Output
 from rvjax.population.estimates import Estimate
 from rvjax.render import Figure, saved
 from rvjax.study import load
-from rvjax.study.about import About
+from rvjax.study.study import About
 from rvjax.tolerances import Outcome, QuadraticLoss, Requirement, WorstCaseWithin, expected_losses, monte_carlo
 from rvjax.units import arcmin, rpm, um
 

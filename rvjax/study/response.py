@@ -16,6 +16,7 @@ from rvjax._jax.programs import ONCE
 from rvjax.base.words import unknown
 from rvjax.errors import Errors, described
 from rvjax.levels import Choice
+from rvjax.loaded import DriveConditions
 from rvjax.outputs import Joint, Reading, Solved, Source
 from rvjax.records import Design, PyTree, Record, Scalar, field, record, text
 from rvjax.response import per_response
@@ -30,6 +31,8 @@ CURVE = "curve"
 """Of the names of its numbers among the values of a response."""
 LONGEST = 256
 """Most of these numbers: each is an output of the program, and 961 of them take 9 s to compile."""
+SPAN, WHOLE = "the span", "a turn of the output"
+"""In the meaning of an output: the part of a turn of the output along which it is read; the longest span."""
 
 
 @record
@@ -215,19 +218,6 @@ def outcome_of(response: Response, errors: Errors) -> Outcome:
     return response(errors)
 
 
-def check_nominal(response: Response, errors: Errors) -> None:
-    """Raise an error if the unit without errors fails.
-
-    Args:
-        response: of the study.
-        errors: of the unit.
-
-    Raises:
-        ValueError: names the status.
-    """
-    refuse(int(outcome_of(response, errors).status))
-
-
 def refuse(status: int) -> None:
     """Raise an error if the unit without errors has a status other than success.
 
@@ -236,3 +226,36 @@ def refuse(status: int) -> None:
     """
     if status not in SUCCESS:
         raise ValueError(f"the unit without errors cannot be solved: {Status(status).name}")
+
+
+def _turns(design: Design, conditions: object, name: str) -> float | None:
+    curve = models.kind(design).described[name].curve
+    return None if curve is None or curve.turns is None else curve.turns(design, conditions)
+
+
+def span_of(design: Design, conditions: object, name: str) -> str:
+    """Part of a turn of the output over which a response is read, in words; "" for a response of no curve.
+
+    Args:
+        design: the reducer.
+        conditions: of the study.
+        name: of the response.
+    """
+    turns = _turns(design, conditions, name)
+    return "" if turns is None else WHOLE if turns == 1 else f"{360 * turns:.3g} deg of the output"
+
+
+def over_a_turn(design: Design, conditions: DriveConditions, name: str, times: int = 1) -> DriveConditions:
+    """Conditions of a whole turn of the output at angles as dense as the given ones, or `times` as dense.
+
+    With one angle more, the angles of each crank turn differ, and no order of pins or holes looks like the mean.
+
+    Args:
+        design: the reducer.
+        conditions: of the study.
+        name: of a response with a span.
+        times: angles over those of the study, in a part of a turn.
+    """
+    turns = _turns(design, conditions, name)
+    assert turns is not None
+    return replace(conditions, span="output_turn", samples=times * round(conditions.samples / turns) + 1)

@@ -12,7 +12,7 @@ from decimal import Decimal
 from rvjax.population import Tolerance, coarsest_grade
 from rvjax.records import Design, Record
 from rvjax.study.kinds import kind_of, number_at
-from rvjax.study.kinds.features import Feature
+from rvjax.study.kinds.kind import Feature
 from rvjax.study.tolerances import FORMS, metadata
 from rvjax.units import mm, um
 

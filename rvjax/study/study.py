@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from rvjax import models
@@ -12,7 +12,6 @@ from rvjax.levels import Choice, choose
 from rvjax.outputs import Curve, Output
 from rvjax.records import PyTree, Record, Scalar
 from rvjax.status import Status, worst
-from rvjax.study.about import About
 from rvjax.study.design import (
     Number,
     comments,
@@ -26,8 +25,16 @@ from rvjax.study.design import (
 from rvjax.study.goals import Price
 from rvjax.study.identification import Identification
 from rvjax.study.kinds import changed, kind_of
-from rvjax.study.response import DesignResponse, Response, check_nominal, followed_bounds, outcome_of
-from rvjax.study.span import SPAN, WHOLE, span_of, spans_of
+from rvjax.study.response import (
+    SPAN,
+    WHOLE,
+    DesignResponse,
+    Response,
+    followed_bounds,
+    outcome_of,
+    refuse,
+    span_of,
+)
 from rvjax.study.tolerances import Form, forms, mid_points
 from rvjax.study.values import (
     StudyError as StudyError,  # other modules take it from here
@@ -36,6 +43,26 @@ from rvjax.study.values import (
     tables_of,
 )
 from rvjax.tolerances import Cost, Limits, Middle, Nominal, QuadraticLoss, Variable
+
+
+@dataclass(frozen=True)
+class About:
+    """Title, author and revision of a study for the head of reports; "" for a missing entry.
+
+    Attributes:
+        title: of the report; "" for the name of the study.
+        author: person responsible for the values.
+        revision: of the study or of the drawing.
+    """
+
+    title: str = ""
+    author: str = ""
+    revision: str = ""
+
+    def line(self) -> str:
+        """Join all entries in one line; "" without any."""
+        said = [self.title, self.author, f"revision {self.revision}" if self.revision else ""]
+        return "; ".join(filter(None, said))
 
 
 @dataclass(frozen=True)
@@ -109,9 +136,12 @@ class Study:
             raise StudyError(f"{self.name}: [requirement] is missing or empty")
         if solve and self.to_solve:
             self._solved  # noqa: B018  (once)
-        bounds = followed_bounds(self.tolerances)
-        outputs = tuple(dict.fromkeys((*self.requirements, *self.losses)))
-        return Response.of(self.design, outputs, self.conditions, self.choices(), bounds)
+        return self._response((*self.requirements, *self.losses))
+
+    def _response(self, outputs: Iterable[str]) -> Response:
+        """errors -> Outcome of some outputs, each at its level."""
+        names, bounds = tuple(dict.fromkeys(outputs)), followed_bounds(self.tolerances)
+        return Response.of(self.design, names, self.conditions, self.choices(), bounds)
 
     def design_response(self, *, similar: bool = True) -> DesignResponse:
         """(errors, values of the variables) -> Outcome of all limited and priced outputs.
@@ -124,9 +154,7 @@ class Study:
         """
         if not self.requirements:
             raise StudyError(f"{self.name}: [requirement] limits no response of the units")
-        outputs = tuple(dict.fromkeys((*self.requirements, *self.losses, *self.without_errors)))
-        bounds = followed_bounds(self.tolerances)
-        response = Response.of(self.design, outputs, self.conditions, self.choices(), bounds)
+        response = self._response((*self.requirements, *self.losses, *self.without_errors))
         return DesignResponse(response, tuple(sorted(self.given)), similar)
 
     @property
@@ -150,7 +178,7 @@ class Study:
             StudyError: it has no solution.
         """
         with naming(self.name):
-            check_nominal(self.response(solve=False), self.design.error_record())
+            refuse(int(outcome_of(self.response(solve=False), self.design.error_record()).status))
 
     @property
     def further(self) -> tuple[str, ...]:
@@ -174,10 +202,7 @@ class Study:
         """
         response = self.response(solve=False)
         if further:
-            outputs = (*response.outputs, *further)
-            response = Response.of(
-                self.design, outputs, self.conditions, self.choices(), followed_bounds(self.tolerances)
-            )
+            response = self._response((*response.outputs, *further))
         found = outcome_of(response, mid_points(self.tolerances, self.design.error_record))
         return {name: float(value) for name, value in found.value.items()}, Status(int(worst(found.status)))
 
@@ -323,7 +348,9 @@ class Study:
     @property
     def spans(self) -> dict[str, str]:
         """Part of a turn of the output in words, by limited response whose value is read along it."""
-        return spans_of(self.design, self.conditions, self.requirements)
+        spans = {name: span_of(self.design, self.conditions, name) for name in self.requirements}
+        outputs = models.kind(self.design).outputs
+        return {name: span for name, span in spans.items() if span and SPAN in outputs[name].meaning}
 
     @property
     def curve(self) -> Curve | None:

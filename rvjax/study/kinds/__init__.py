@@ -2,7 +2,6 @@
 
 from collections.abc import Collection, Iterable, Mapping
 from operator import attrgetter
-from typing import TYPE_CHECKING
 
 from rvjax.catalogue import shown
 from rvjax.designs import CamRollerReducer, RVReducer
@@ -10,7 +9,6 @@ from rvjax.mesh_force import largest_roller_radius, undercut_margin
 from rvjax.mounting import unit_errors
 from rvjax.records import PyTree, Record, Scalar
 from rvjax.study.kinds import cycloidal
-from rvjax.study.kinds.features import features
 from rvjax.study.kinds.kind import (
     Assumed as Assumed,
     Choices as Choices,
@@ -18,6 +16,8 @@ from rvjax.study.kinds.kind import (
     Kind as Kind,
     Known as Known,
     Start as Start,
+    drawn,
+    features,
 )
 from rvjax.study.kinds.rv_facts import (
     DERIVED_FROM,
@@ -37,9 +37,6 @@ from rvjax.study.kinds.rv_starts import NEEDED, STARTS, rated_torque
 from rvjax.study.kinds.scaling import Law as Law, number_at as number_at, outside as outside, split as split
 from rvjax.study.kinds.tables import variable_tables as variable_tables
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 __all__ = ["KINDS", "Kind", "changed", "facts_of", "kind_of", "orders_of"]
 
 
@@ -51,18 +48,6 @@ def _rv_caption(design: RVReducer) -> str:
         f"{cycloid.disc_count} discs, {design.cranks.count} cranks on a circle of "
         f"{shown(2 * design.cranks.circle_radius, 'm')}"
     )
-
-
-def _rv_drawn(design: RVReducer) -> "Axes":
-    from rvjax.plotting import drawings  # only a drawing needs Matplotlib
-
-    return drawings.reducer(design)
-
-
-def _rv_compared(before: RVReducer, after: RVReducer) -> "Axes":
-    from rvjax.plotting import drawings
-
-    return drawings.before_and_after(before, after)
 
 
 _RV = Kind(
@@ -83,7 +68,10 @@ _RV = Kind(
     orders=attrgetter("orders"),
     unit_errors=unit_errors,
     drawing=Drawing(
-        _rv_drawn, _rv_caption, _rv_compared, "Section of the second stage, drawn to scale, before and after"
+        drawn("drawings.reducer"),
+        _rv_caption,
+        drawn("drawings.before_and_after"),
+        "Section of the second stage, drawn to scale, before and after",
     ),
     starts=STARTS,
     needed=NEEDED,

@@ -4,7 +4,7 @@ import itertools
 import math
 from collections.abc import Collection, Iterator
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,12 +13,8 @@ from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.mounting import unit_errors
 from rvjax.records import Scalar
 from rvjax.study.kinds.drive_starts import FLANK, HOLE, NEEDED, PROCESSES, RATED, START, free_play, rated_torque
-from rvjax.study.kinds.features import features
-from rvjax.study.kinds.kind import Drawing, Kind
+from rvjax.study.kinds.kind import Drawing, Kind, drawn, features
 from rvjax.units import arcmin
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 INTERFERENCE = 0.1  # of the eccentricity; a smaller hole is a mistake in its diameter
 FAR_CLEARANCE = 1 / 25  # of the eccentricity; up to it the angles of the equilibrium hold within 1 %
@@ -225,18 +221,6 @@ def _caption(design: CycloidalReducer) -> str:
     )
 
 
-def _drawn(design: CycloidalReducer) -> "Axes":
-    from rvjax.plotting import drive  # only a drawing needs Matplotlib
-
-    return drive.reducer(design)
-
-
-def _compared(before: CycloidalReducer, after: CycloidalReducer) -> "Axes":
-    from rvjax.plotting import drive
-
-    return drive.before_and_after(before, after)
-
-
 KIND = Kind(
     design=CycloidalReducer,
     name="a single-stage cycloidal drive",
@@ -252,7 +236,12 @@ KIND = Kind(
     orders=attrgetter("orders"),
     multiples=attrgetter("multiples"),
     unit_errors=unit_errors,
-    drawing=Drawing(_drawn, _caption, _compared, "Section of the drive, drawn to scale, before and after"),
+    drawing=Drawing(
+        drawn("drive.reducer"),
+        _caption,
+        drawn("drive.before_and_after"),
+        "Section of the drive, drawn to scale, before and after",
+    ),
     starts={"loaded": START},
     needed=NEEDED,
     torque=rated_torque,
