@@ -40,7 +40,7 @@ def main():
         models = table.models | {cases.name: dataclasses.replace(made, machine=own)}
         table = dataclasses.replace(table, models=models)
         table.save(options.table)
-        print(levels.report(dataclasses.replace(table, models={cases.name: models[cases.name]})), flush=True)
+        print(levels.advice(models[cases.name]), flush=True)
 
 
 def _known(where):

@@ -10,6 +10,7 @@ import math
 from typing import ClassVar, Self
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from rvjax.bearings import (
@@ -60,7 +61,7 @@ class InvoluteStage(Record):
             module: m.
             pressure_angle: rad.
         """
-        cosine = math.cos(pressure_angle) if concrete(pressure_angle) else _traced_cos(pressure_angle)
+        cosine = math.cos(pressure_angle) if concrete(pressure_angle) else jnp.cos(pressure_angle)
         return cls(
             sun_teeth=sun_teeth,
             planet_teeth=planet_teeth,
@@ -71,12 +72,6 @@ class InvoluteStage(Record):
             sun_base_radius=module * sun_teeth / 2 * cosine,
             planet_base_radius=module * planet_teeth / 2 * cosine,
         )
-
-
-def _traced_cos(angle: Scalar) -> Array:
-    import jax.numpy as jnp  # only a traced angle needs it
-
-    return jnp.cos(angle)
 
 
 @record

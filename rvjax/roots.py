@@ -20,7 +20,6 @@ import jax
 import jax.ad_checkpoint
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import DTypeLike
 
 from rvjax._jax.checks import checked
 from rvjax._jax.kernels import while_loop
@@ -121,15 +120,9 @@ def _bracketed(
     tolerance: float | None,
 ) -> Root:
     params, lower, upper, start = promote(params, lower, upper, 0.5 * (lower + upper) if start is None else start)
-    iterate = partial(_bracketed_iteration, max_steps=max_steps, tolerance=_tolerance(tolerance, lower.dtype))
-    return _masked(*_implicit(residual, iterate, params, (lower, upper, start)))
-
-
-def _tolerance(given: float | None, dtype: DTypeLike) -> float:
-    return 8 * float(jnp.finfo(dtype).eps) if given is None else given
-
-
-def _masked(value: jax.Array, info: SolveInfo) -> Root:
+    tolerance = 8 * float(jnp.finfo(lower.dtype).eps) if tolerance is None else tolerance
+    iterate = partial(_bracketed_iteration, max_steps=max_steps, tolerance=tolerance)
+    value, info = _implicit(residual, iterate, params, (lower, upper, start))
     return Root(jnp.where(succeeded(info.status), value, jnp.nan), info)
 
 

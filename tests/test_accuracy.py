@@ -92,7 +92,7 @@ def test_a_table_comes_back_from_its_file(tmp_path):
     table = Table({"cores": 2}, 0, {"m": model(ROUGH, BROKEN)})
     table.save(tmp_path / "t.json")
     assert Table.load(tmp_path / "t.json") == table
-    assert "broken" in levels.report(table)
+    assert any("broken" in row[0] for row in levels.blocks(table)[0].rows)
 
 
 def test_every_model_of_the_stored_table_can_be_shown():
@@ -288,10 +288,10 @@ def test_the_command_prints_writes_and_draws(tmp_path, monkeypatch, capsys):
 
 
 def test_the_table_of_levels_fits_the_terminal():
-    """A row for each level, with the numbers of the Python text; none of them is lost in a narrow terminal."""
+    """A row for each level, with the numbers of the table; none of them is lost in a narrow terminal."""
     table = Table({"cores": 2}, 0, {"m": model(ROUGH, FINE)})
     shown = report(SimpleNamespace(json=None, picture=None), (table, 1.0))
-    rows = [line.split() for line in levels.report(table).split("\n") if line.startswith("* ")]
+    rows = [" ".join(row).split() for row in levels.blocks(table)[0].rows if row[0].startswith("*")]
     assert [row[1] for row in rows] == ["rough", "fine", "exact"]
     assert [line.split() for line in shown.text().split("\n") if line.startswith("* ")] == rows
     narrow = shown.text(40)

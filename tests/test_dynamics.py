@@ -14,8 +14,9 @@ import rvjax
 from rvjax import MeshVariation, Status, dynamics
 from rvjax.catalogue import RV_20E, RV_320E
 from rvjax.plotting import dynamics as plotting
-from rvjax.published.rv320e_appendix import printed_stiffness
+from rvjax.published import rv320e
 from rvjax.units import arcsec, deg, rpm
+from tests.oracles.appendix import printed_stiffness
 from tests.oracles.dynamics import Oracle, layout
 
 TORQUE = -3136.0
@@ -91,6 +92,7 @@ def test_the_appendix_is_the_assembled_matrix_but_for_one_sign():
     """With the printed sign a rigid translation strains the bearings, and they leave 5 rigid motions, not 7."""
     ours = np.asarray(dynamics.assemble(RV_320E).stiffness)
     np.testing.assert_allclose(printed_stiffness(RV_320E, corrected=True), ours, rtol=1e-13, atol=1e-6)
+    np.testing.assert_allclose(rv320e.printed_stiffness(), printed_stiffness(RV_320E), rtol=1e-13, atol=1e-6)
     oracle = Oracle(RV_320E)
     meshes = sum(8.35e8 * np.outer(v, v) for v in oracle.meshes["cycloid"])
     rigid = np.zeros(39)  # the whole reducer moves along x

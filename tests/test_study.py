@@ -238,7 +238,7 @@ def test_a_costly_nominal_unit_is_solved_at_the_first_response(monkeypatch):
         solved.append(type(errors).__name__)
         raise ValueError("the unit without errors cannot be solved: CONTACT_OVERLOAD")
 
-    monkeypatch.setattr(definition, "check_nominal", refused)
+    monkeypatch.setattr(definition, "outcome_of", refused)
     whole = study.load("rv-40e-whole")
     assert not solved and whole.fields
     with pytest.raises(study.StudyError, match=r"rv-40e-whole: the unit without errors .* CONTACT_OVERLOAD"):
@@ -246,7 +246,7 @@ def test_a_costly_nominal_unit_is_solved_at_the_first_response(monkeypatch):
     assert solved == ["RVErrors"]
     whole.response(solve=False), study.load("rv-40e-whole", solve=False).response()
     assert len(solved) == 1
-    monkeypatch.setattr(definition, "check_nominal", lambda *_: solved.append("good"))
+    monkeypatch.setattr(definition, "outcome_of", lambda *_: solved.append("good") or types.SimpleNamespace(status=0))
     whole.response(), whole.response()
     assert solved == ["RVErrors", "good"]
     # A run of units compiles nothing for that one, but asks where all have failed.

@@ -38,38 +38,30 @@ def checked(function: Callable[P, R], of_design: Callable[[object, str], None] |
     parameters = {name: p for name, p in given_by_name.items() if p.kind is not p.VAR_KEYWORD}
     kinds = {name: kind for name, p in parameters.items() if (kind := _kind(p.annotation)) is not None}
     where = f"{function.__module__.split('.')[1]}.{function.__name__}"
-    place_of_design = list(parameters).index("design") if "design" in parameters else None
-    places = tuple((place, name) for place, name in enumerate(parameters) if name in kinds)
     known = {} if of_design else {name: p for name, p in parameters.items() if name not in kinds}
     classes = {name: found for name, p in known.items() if (found := _classes(p.annotation)) is not None}
-    others = [(place, name) for place, name in enumerate(parameters) if name in classes]
     by_place = [name for name, p in parameters.items() if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
     takes_all = len(parameters) < len(given_by_name)
-    counts = [
-        (place, name, kind == int | None)
-        for place, (name, kind) in enumerate((name, p.annotation) for name, p in parameters.items())
-        if kind in (int, int | None)
-    ]
+    counts = {name: p.annotation == int | None for name, p in parameters.items() if p.annotation in (int, int | None)}
 
     @functools.wraps(function)
     def call(*arguments: P.args, **named: P.kwargs) -> R:
         if len(arguments) > len(by_place):  # before the checks, which would take it for the argument at that place
             raise TypeError(f"{where}: {_misplaced(arguments[len(by_place)], parameters, by_place, named)}")
-        if of_design is not None and place_of_design is not None:
-            given = arguments[place_of_design] if place_of_design < len(arguments) else named.get("design")
-            of_design(given, where)
-        for place, name in places:
-            value: Any = arguments[place] if place < len(arguments) else named.get(name, _ABSENT)
-            if value is not _ABSENT and type(value) is not float and not isinstance(value, jax.core.Tracer):
-                _check(name, value, kinds[name])
-        for place, name, optional in counts:
-            count: Any = arguments[place] if place < len(arguments) else named.get(name, 0)
+        given: dict[str, Any] = dict(zip(parameters, arguments)) | named
+        if of_design is not None and "design" in parameters:
+            of_design(given.get("design"), where)
+        for name, kind in kinds.items():
+            value = given.get(name, 0.0)  # one that is absent passes
+            if type(value) is not float and not isinstance(value, jax.core.Tracer):
+                _check(name, value, kind)
+        for name, optional in counts.items():
+            count = given.get(name, 0)
             if not (_is_whole(count) and count >= 0) and not (optional and count is None):
                 raise ValueError(f"{name} = {_short(count)}: must be a whole number of at least 0")
-        for place, name in others:
-            value = arguments[place] if place < len(arguments) else named.get(name, _ABSENT)
-            if value is not _ABSENT and (not isinstance(value, classes[name]) or _is_number(value)):
-                raise ValueError(f"{name} = {_short(value)}: must be {_named(classes[name])}")
+        for name, wanted in classes.items():
+            if name in given and (not isinstance(given[name], wanted) or _is_number(given[name])):
+                raise ValueError(f"{name} = {_short(given[name])}: must be {_named(wanted)}")
         if not takes_all and not named.keys() <= parameters.keys():
             wrong = next(name for name in named if name not in parameters)
             free = [name for name in parameters if name not in by_place[: len(arguments)]]
@@ -134,7 +126,6 @@ class _Kind(NamedTuple):
     sequence: bool = False  # never one number
 
 
-_ABSENT = object()
 _ANY = {int, float, object, np.ndarray, Array, Any, inspect.Parameter.empty}  # checked elsewhere, or not at all
 _UNNAMED = (np.bool_, np.ndarray, type(None))
 _WORDS = {

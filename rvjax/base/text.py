@@ -82,9 +82,7 @@ def text_of(path: Path, encoding: str | None = None) -> tuple[str, list[str]]:
             raise ValueError(f"{path}: cannot be read as text ({error}); save it as UTF-8{hint}") from None
     for guess in _guesses(content):
         try:
-            return content.decode(guess), [
-                f"{GUESSED} {guess} ({SCRIPTS[guess]}); another one: --encoding, in Python encoding="
-            ]
+            return content.decode(guess), [f"{GUESSED} {guess} ({SCRIPTS[guess]}); {_OTHER}"]
         except UnicodeDecodeError:
             continue
     return content.decode("latin-1"), [f"{GUESSED} latin-1; {_OTHER}"]

@@ -9,9 +9,8 @@ from rvjax.levels.table import (
     advice,
     blocks as blocks,
     measured_on as measured_on,
-    report,
     stored,
 )
 
-__all__ = ["Table", "Choice", "advice", "as_given", "choose", "measure", "measure_model", "measured", "report"]
+__all__ = ["Table", "Choice", "advice", "as_given", "choose", "measure", "measure_model", "measured"]
 __all__ += ["seconds", "sources_of", "stored"]

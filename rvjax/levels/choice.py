@@ -8,7 +8,7 @@ import math
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, reduce
 from importlib import resources
 from typing import Any
 
@@ -16,10 +16,11 @@ import numpy as np
 
 from rvjax import models
 from rvjax.base.words import unknown
-from rvjax.levels.table import Model, Table, stored
+from rvjax.catalogue import walk
+from rvjax.levels.table import Level, Model, Table, stored
 from rvjax.outputs import Reading, Source, torque_of
 from rvjax.population import Tolerance
-from rvjax.records import Design, PyTree, Record, Scalar, is_concrete
+from rvjax.records import Design, PyTree, Scalar, is_concrete
 from rvjax.units import readable, with_unit
 
 
@@ -111,11 +112,7 @@ def choose(
                 unit, unit_size = readable(model.outputs[name])
                 limit = with_unit(wanted[name] / unit_size, unit, ".3g")
                 why = f"cheapest of {len(model.levels)} levels with twice its measured error below {limit}"
-                why += f"; not modelled: {level.without}" if level.without else ""
-            instead = level.instead.get(name)
-            choices[name] = Choice(
-                name, level.name, settings, level.precision, bound, level.ns, why, instead, level.without
-            )
+            choices[name] = _choice(name, level, settings, bound, why)
     return {name: choices[name] for name in outputs if name in choices}
 
 
@@ -147,11 +144,15 @@ def as_given(design: Design, outputs: Sequence[str], conditions: object, *, tole
             why = f"set in the study; its error here is not measured ({reason})" if reason else "set in the study"
             if bound == math.inf:
                 bound, why = None, f"{why}; with larger errors it failed for a unit that the exact level solves"
-            why += f"; not modelled: {level.without}" if level.without else ""
-            choices[name] = Choice(
-                name, level.name, settings, level.precision, bound, level.ns, why, None, level.without
-            )
+            choices[name] = _choice(name, level, settings, bound, why)
     return choices
+
+
+def _choice(output: str, level: Level, settings: tuple[tuple[str, Any], ...], bound: float | None, why: str) -> Choice:
+    """A measured level of an output, with what it does not model; the exact level leaves out nothing."""
+    why += f"; not modelled: {level.without}" if level.without else ""
+    instead = level.instead.get(output)
+    return Choice(output, level.name, settings, level.precision, bound, level.ns, why, instead, level.without)
 
 
 def _no_fewer(value: PyTree, wanted_of: PyTree) -> object:
@@ -215,17 +216,15 @@ def _model(known: Sequence[Model], design: object, conditions: object, tolerance
     return model, ""
 
 
-def _overridden(design: PyTree, prefix: str = "") -> dict[str, Scalar]:
+def _overridden(design: PyTree) -> dict[str, Scalar]:
     """Numbers by path that differ from their derived value (`derived_NAME`) by more than rounding."""
     values: dict[str, Scalar] = {}
-    for f in dataclasses.fields(design):
-        value, derived = getattr(design, f.name), getattr(design, f"derived_{f.name}", None)
-        if isinstance(value, Record):
-            values |= _overridden(value, f"{prefix}{f.name}.")
-        elif value is None or derived is None:
-            continue
-        elif not (is_concrete(value) and is_concrete(derived) and np.allclose(value, derived, rtol=1e-9, atol=0)):
-            values[prefix + f.name] = value
+    for path, value, _ in walk(design):
+        *parts, name = path.split(".")
+        derived = getattr(reduce(getattr, parts, design), f"derived_{name}", None)
+        alike = is_concrete(value) and is_concrete(derived) and np.allclose(value, derived, rtol=1e-9, atol=0)
+        if derived is not None and not alike:
+            values[path] = value
     return values
 
 
@@ -256,19 +255,14 @@ def reach(tolerances: PyTree) -> dict[str, float]:
     return largest
 
 
-def design_numbers(design: PyTree, prefix: str = "") -> dict[str, float]:
+def design_numbers(design: PyTree) -> dict[str, float]:
     """Numbers of a design by path, with counts and elements of arrays; NaN for a traced number."""
     numbers: dict[str, float] = {}
-    for f in dataclasses.fields(design):
-        value = getattr(design, f.name)
-        if isinstance(value, Record):
-            numbers |= design_numbers(value, f"{prefix}{f.name}.")
-        elif value is not None:
-            path = prefix + f.name
-            if is_concrete(value) and np.ndim(value) == 1:
-                numbers |= {f"{path}[{k}]": float(x) for k, x in enumerate(value)}
-            else:
-                numbers[path] = float(value) if is_concrete(value) and np.ndim(value) == 0 else math.nan
+    for path, value, _ in walk(design):
+        if is_concrete(value) and np.ndim(value) == 1:
+            numbers |= {f"{path}[{k}]": float(x) for k, x in enumerate(value)}
+        else:
+            numbers[path] = float(value) if is_concrete(value) and np.ndim(value) == 0 else math.nan
     return numbers
 
 

@@ -31,7 +31,6 @@ def alternate(
     *,
     seconds: float = 2.0,
     rounds: int = 25,
-    clock: Callable[[], float] = time.perf_counter,
 ) -> dict[str, float]:
     """Minimum seconds of each candidate, run in turn for `rounds` and `seconds` each, or 10 x `seconds` together."""
     for run in candidates.values():
@@ -41,9 +40,9 @@ def alternate(
     turn = 0
     while (turn < rounds or min(spent.values()) < seconds) and sum(spent.values()) < 10 * seconds:
         for name, run in candidates.items():
-            start = clock()
+            start = time.perf_counter()
             jax.block_until_ready(run())
-            elapsed = clock() - start
+            elapsed = time.perf_counter() - start
             best[name], spent[name] = min(best[name], elapsed), spent[name] + elapsed
         turn += 1
     return best

@@ -243,21 +243,6 @@ class Block(NamedTuple):
     foot: str  # advice
 
 
-_WIDTHS = (44, 9, 9, 10, 9, 10, 7)
-
-
-def report(table: Table) -> str:
-    """Text of all levels of all models, each model with its advice."""
-    texts = []
-    for block in blocks(table):
-        lines = [
-            " ".join([f"{row[0]:{_WIDTHS[0]}s}", *(f"{cell:>{width}s}" for cell, width in zip(row[1:], _WIDTHS[1:]))])
-            for row in (block.titles, *block.rows)
-        ]
-        texts.append("\n".join([block.head, *lines, block.foot]))
-    return "\n\n".join([*texts, measured_on(table)])
-
-
 def blocks(table: Table) -> list[Block]:
     """Levels and advice of each model."""
     return [_block(model) for model in table.models.values()]

@@ -82,13 +82,14 @@ def _change(parameter: str, name: str) -> float:
     return 100 * (second / first - 1)
 
 
+def _growth(name: str, parameter: str, value: float) -> float:
+    """Statistic with an error over that without it."""
+    return _at(name, parameter, value) / _at(name, parameter, 0.0)
+
+
 def _changes_little(parameter: str, share: float, *names: str) -> bool:
     """No value of the range moves a statistic by more than this share of that without error."""
-    return all(
-        abs(_at(name, parameter, value) / _at(name, parameter, 0.0) - 1) <= share
-        for name in names
-        for value in VALUES[parameter]
-    )
+    return all(abs(_growth(name, parameter, value) - 1) <= share for name in names for value in VALUES[parameter])
 
 
 @cache
@@ -188,10 +189,8 @@ def _printed_windup() -> bool:
 
 def _errors_fluctuate() -> bool:
     """20 um of each error move the peak of the cam force by more than a tenth."""
-    return not any(
-        abs(_at("cam_peak", error, 20 * um) / _at("cam_peak", error, 0.0) - 1) <= 0.1
-        for error in ("errors.cam_radius", "errors.eccentricity", "errors.roller_radius")
-    )
+    errors = ("errors.cam_radius", "errors.eccentricity", "errors.roller_radius")
+    return not any(abs(_growth("cam_peak", error, 20 * um) - 1) <= 0.1 for error in errors)
 
 
 def _strongest() -> bool:
@@ -230,9 +229,7 @@ COMPUTED: dict[str, Callable[[], Any]] = {
     "corr.eq14.cage_projection": _printed_cage_projection,
     "corr.eq15.gear_projection": _gear_projection,
     "corr.eq16.windup": _printed_windup,
-    "corr.eq18.error_sign": lambda: (
-        _at("cam_mean", "errors.cam_radius", 2 * um) < _at("cam_mean", "errors.cam_radius", 0.0)
-    ),
+    "corr.eq18.error_sign": lambda: _growth("cam_mean", "errors.cam_radius", 2 * um) < 1,
     "corr.fig11.eccentricity_strong": lambda: abs(_eccentricity("cam_mean")) > 10,
     "corr.fig11.cage_mean_unchanged": lambda: abs(_eccentricity("cage_mean")) < 1,
     "corr.fig11.cage_p2p_unchanged": lambda: abs(_eccentricity("cage_peak_to_peak")) < 1,
@@ -242,13 +239,9 @@ COMPUTED: dict[str, Callable[[], Any]] = {
     "corr.fig12.range": _largest_roller,
     "corr.fig12.cage_mean_change": _centre_circle_change,
     "corr.fig13.smaller_than_eccentricity": lambda: abs(_cam("cam_mean")) < abs(_eccentricity("cam_mean")),
-    "corr.fig15.huge_effect": lambda: (
-        _at("cam_peak", "errors.eccentricity", 50 * um) > 2 * _at("cam_peak", "errors.eccentricity", 0.0)
-    ),
+    "corr.fig15.huge_effect": lambda: _growth("cam_peak", "errors.eccentricity", 50 * um) > 2,
     "corr.fig15.cam_gear_mean_small": partial(_changes_little, "errors.eccentricity", 0.5, "cam_mean", "gear_mean"),
-    "corr.fig15.peak_rise": lambda: (
-        _at("cam_peak", "errors.eccentricity", -10 * um) <= _at("cam_peak", "errors.eccentricity", 0.0)
-    ),
+    "corr.fig15.peak_rise": lambda: _growth("cam_peak", "errors.eccentricity", -10 * um) <= 1,
     "corr.fig16.strongest": _strongest,
     "corr.fig16.cage_p2p_small": partial(_changes_little, "errors.roller_radius", 0.5, "cage_peak_to_peak"),
     "corr.conclusion.eccentricity_cage_little": lambda: abs(_eccentricity("cage_mean")) < 1,

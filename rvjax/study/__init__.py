@@ -2,14 +2,13 @@
 
 from rvjax.catalogue import (
     BASES,
-    KNOWN_DESIGNS,
     fields_of as fields_of,
     fields_of_kind as fields_of_kind,
     numbers,
     shown,
     walk as walk,
 )
-from rvjax.measured import Conditions, Loop, Measured, Run, read as read_measured
+from rvjax.measured import Loop, Measured, Run, read as read_measured
 from rvjax.study.bench import order_name
 from rvjax.study.design import (
     comments as comments,
@@ -20,8 +19,6 @@ from rvjax.study.design import (
 from rvjax.study.identification import NUISANCES, field_unit, part_orders as part_orders
 from rvjax.study.kinds import (
     KINDS as KINDS,
-    RATED,
-    TORQUE,
     Assumed as Assumed,
     Drawing as Drawing,
     Kind as Kind,
@@ -37,7 +34,6 @@ from rvjax.study.kinds import (
     variable_tables as variable_tables,
 )
 from rvjax.study.problem import (
-    Candidate,
     Problem,
     candidates,
     identification_of,
@@ -68,8 +64,8 @@ from rvjax.study.values import (
     subtable,
 )
 
-__all__ = ["BASES", "Conditions", "EMBEDDED", "KNOWN_DESIGNS", "Loop", "Measured", "NUISANCES", "Problem", "RATED"]
-__all__ += ["Run", "Study", "StudyError", "TORQUE", "Candidate", "choice", "embedded_names", "field_unit"]
+__all__ = ["BASES", "EMBEDDED", "Loop", "Measured", "NUISANCES", "Problem"]
+__all__ += ["Run", "Study", "StudyError", "choice", "embedded_names", "field_unit"]
 __all__ += ["identification_of", "integer", "inverse_problem", "facts_of", "known", "load", "naming", "numbers"]
 __all__ += ["order_name", "parse_study", "quantity", "scaled", "read_measured", "shown", "study_template", "subtable"]
 __all__ += ["Size", "candidates", "sizes_of"]

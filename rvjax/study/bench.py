@@ -15,8 +15,9 @@ from rvjax._jax.programs import Options
 from rvjax.errors import described, read_by
 from rvjax.measured import Conditions
 from rvjax.outputs import Observation, torque_of
-from rvjax.records import Array, Design, PyTree, Record, Scalar, field, record, text
+from rvjax.records import Array, Design, PyTree, Record, field, record, text
 from rvjax.study.identification import DRAGS, NUISANCES, number_of_design
+from rvjax.study.kinds import number_at, replaced
 
 Values = Mapping[str, PyTree]
 Seen = dict[str, PyTree]
@@ -34,17 +35,12 @@ def _taken(design: PyTree, values: Values) -> tuple[object, object]:
         if name in fields or name in NUISANCES:
             continue
         path, _ = number_of_design(design, name)
-        design = _with(design, path, value) if path else design.stiffer(value)
+        if path:
+            now = number_at(design, path)
+            design = replaced(design, {path: jnp.broadcast_to(value, () if now is None else np.shape(now))})
+        else:
+            design = design.stiffer(value)
     return design, errors
-
-
-def _with(record: Record, path: tuple[str, ...], value: Scalar) -> PyTree:
-    """Record with another number at a path, in the shape of the old number."""
-    name, rest = path[0], path[1:]
-    now = getattr(record, name)
-    if rest:
-        return record.replace(**{name: _with(now, rest, value)})
-    return record.replace(**{name: jnp.broadcast_to(value, () if now is None else np.shape(now))})
 
 
 @record

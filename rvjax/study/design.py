@@ -19,7 +19,7 @@ from rvjax.errors import described
 from rvjax.outputs import Output
 from rvjax.records import Design, PyTree, Record
 from rvjax.study.kinds import kind_of, number_at
-from rvjax.study.tolerances import Form, stated_by
+from rvjax.study.tolerances import Form, by_error, metadata, stated_by
 from rvjax.study.values import Metadata, Toml, choice, field_value, is_replaced, known, naming_field
 from rvjax.tolerances import Cost, Limits, Middle, Tolerance
 from rvjax.units import with_unit
@@ -313,6 +313,5 @@ def doubtful_costs(costs: Mapping[str, Cost], tolerances: Record) -> list[str]:
 
 
 def _toleranced(tolerances: Record) -> Iterator[tuple[str, Tolerance, Metadata]]:
-    for f in dataclasses.fields(tolerances):
-        if (tolerance := getattr(tolerances, f.name)) is not None:
-            yield f.name, tolerance, f.metadata
+    for field, tolerance in by_error(tolerances).items():
+        yield field, tolerance, metadata(type(tolerances), field)

@@ -11,7 +11,7 @@ from rvjax.catalogue import fields_of
 from rvjax.outputs import Output
 from rvjax.records import IN_ERROR_UNIT, Design, Record
 from rvjax.study.kinds import kind_of, number_at, split
-from rvjax.study.tolerances import metadata
+from rvjax.study.tolerances import by_error, metadata
 from rvjax.study.values import (
     Toml,
     choice,
@@ -142,12 +142,11 @@ def parse_objective(table: Toml, outputs: Mapping[str, Output]) -> dict[str, Pri
     return {name: _price(table[name], outputs[name].unit, f"objective.{name}") for name in names}
 
 
-def parse_costs(table: Toml, record: type[Record], tolerances: Record) -> dict[str, Cost]:
+def parse_costs(table: Toml, tolerances: Record) -> dict[str, Cost]:
     """The table [cost] as cost models by error.
 
     Args:
         table: as written.
-        record: class of the errors.
         tolerances: of the study.
 
     Raises:
@@ -156,13 +155,13 @@ def parse_costs(table: Toml, record: type[Record], tolerances: Record) -> dict[s
     costs: dict[str, Cost] = {}
     for field in table:
         where, entry = f"cost.{field}", dict(subtable(table, field))
-        if field not in {f.name for f in dataclasses.fields(record)} or getattr(tolerances, field) is None:
+        if field not in by_error(tolerances):
             raise ValueError(f"{where}: there is no [tolerances.{field}] for it")
         law = COSTS[choice(entry.pop("model", "reciprocal_power"), COSTS, f"{where}.model")]
         declared = {f.name: f for f in dataclasses.fields(law)}
         known(entry, declared, where)
         units = {name: f.metadata["unit"] for name, f in declared.items()}
-        units |= {n: metadata(record, field)["unit"] for n, unit in units.items() if unit == IN_ERROR_UNIT}
+        units |= {n: metadata(type(tolerances), field)["unit"] for n, unit in units.items() if unit == IN_ERROR_UNIT}
         for key, f in declared.items():
             if f.default is dataclasses.MISSING:
                 needed(entry, [key], where, f"{f.metadata['meaning']}, in {units[key]}")
@@ -171,27 +170,23 @@ def parse_costs(table: Toml, record: type[Record], tolerances: Record) -> dict[s
     return costs
 
 
-def parse_middles(
-    table: Toml, record: type[Record], tolerances: Record, variables: Collection[str]
-) -> dict[str, Middle]:
+def parse_middles(table: Toml, tolerances: Record, variables: Collection[str]) -> dict[str, Middle]:
     """The table [middle] as ranges of mid-points by error.
 
     Args:
         table: as written.
-        record: class of the errors.
         tolerances: of the study.
         variables: paths of the numbers of the design that may change.
 
     Raises:
         ValueError: names the key, its value and the unit.
     """
-    middles = {}
-    active = {f.name: t for f in dataclasses.fields(record) if (t := getattr(tolerances, f.name)) is not None}
+    middles, active = {}, by_error(tolerances)
     for name in table:
         where, entry = f"middle.{name}", subtable(table, name)
         if name not in active:
             raise ValueError(f"{where}: there is no [tolerances.{name}] for it")
-        unit = metadata(record, name)["unit"]
+        unit = metadata(type(tolerances), name)["unit"]
         units = {"lower": unit, "upper": unit, "cost": "-", "per": unit}
         known(entry, units, where)
         keys = ("lower", "upper", "per") if "cost" in entry else ("lower", "upper")

@@ -12,10 +12,11 @@ from pathlib import Path
 
 from rvjax import models
 from rvjax.base.words import unknown
+from rvjax.catalogue import fields_of
 from rvjax.measured import DIRECTIONS, KINDS, Kind
 from rvjax.outputs import Observation
 from rvjax.records import Design, PyTree, Record
-from rvjax.study.tolerances import parse_tolerance
+from rvjax.study.tolerances import by_error, parse_tolerance
 from rvjax.study.values import Toml, choice, integer, known, naming_field, positive, quantity, subtable
 from rvjax.tolerances import Tolerance
 from rvjax.units import arcsec
@@ -65,10 +66,8 @@ class Identification:
 
     def prior(self, tolerances: Record) -> dict[str, Tolerance]:
         """All fields of the values of a unit: errors that vary, unknown numbers, nuisances of the bench."""
-        names = [f.name for f in dataclasses.fields(tolerances)]
-        errors = {n: getattr(tolerances, n) for n in names if isinstance(getattr(tolerances, n), Tolerance)}
         bench = {name: nuisance(name, self.orders) for name in self.nuisance if name in NUISANCES}
-        return errors | self.unknown | bench
+        return by_error(tolerances) | self.unknown | bench
 
 
 def parse_identification(
@@ -106,8 +105,7 @@ def parse_identification(
         with naming_field(where):
             unit = number_of_design(design, name)[1]
             unknown[name] = parse_tolerance(subtable(given, name), unit, where, folder)
-    fields = [f.name for f in dataclasses.fields(tolerances) if isinstance(getattr(tolerances, f.name), Tolerance)]
-    own = [*fields, *unknown]
+    own = [*by_error(tolerances), *unknown]
     nuisances = tuple(choice(name, [*NUISANCES, *own], "identify.nuisance") for name in _list(table, "nuisance"))
     bench = [name for name in nuisances if name in NUISANCES]
     data = KINDS[planned_kind(observations, orders)]
@@ -183,7 +181,7 @@ def field_unit(design: Design, name: str) -> str:
     return units[name] if name in units else number_of_design(design, name)[1]
 
 
-def number_of_design(design: PyTree, name: str) -> tuple[tuple[str, ...], str]:
+def number_of_design(design: PyTree, name: str) -> tuple[str, str]:
     """Path and SI unit of a number of a design.
 
     Args:
@@ -196,26 +194,20 @@ def number_of_design(design: PyTree, name: str) -> tuple[tuple[str, ...], str]:
     """
     springs = hasattr(design, "stiffer")
     if name == "stiffness" and springs:
-        return (), "-"
-    found: dict[str, tuple[tuple[str, ...], str]] = {}
+        return "", "-"
+    traced = {path: about for path, about in fields_of(design) if about["kind"] not in ("count", "text")}
+    units = {path: str(about["unit"]) for path, about in traced.items() if path.count(".") < 2}
     owners: dict[str, list[str]] = {}
-    for part in dataclasses.fields(design):
-        record, kind = getattr(design, part.name), part.metadata["kind"]
-        if kind == "real":
-            found[part.name] = (part.name,), part.metadata["unit"]
-        for f in dataclasses.fields(record) if dataclasses.is_dataclass(record) else ():
-            if f.metadata["kind"] not in ("count", "text", "record"):
-                owners.setdefault(f.name, []).append(f"{part.name}.{f.name}")
-                found[owners[f.name][-1]] = (part.name, f.name), f.metadata["unit"]
-    for short, whole in owners.items():
-        if len(whole) == 1:
-            found[short] = found.pop(whole[0])
+    for path in units:
+        owners.setdefault(path.rpartition(".")[2], []).append(path)
     if len(owners.get(name, [])) > 1:
         raise ValueError(f"{name}: several parts have it; write {' or '.join(map(repr, owners[name]))}")
-    if name not in found:
+    short = {number: whole[0] for number, whole in owners.items() if len(whole) == 1}
+    paths = {path: path for path in units if path not in short.values()} | short
+    if name not in paths:
         first = ["stiffness (a factor on all springs)"] if springs else []
-        raise unknown("no number of this design", name, [*first, *found], "; there are")
-    return found[name]
+        raise unknown("no number of this design", name, [*first, *paths], "; there are")
+    return paths[name], units[paths[name]]
 
 
 def nuisance(name: str, orders: Sequence[int]) -> Tolerance:

@@ -166,13 +166,13 @@ def _curves(study: Study, given: Identification, measured: Measured | None) -> P
             seen: Seen = {key: np.full(len(runs), np.nan, float if key == "mean" else complex) for key in groups}
             for place, run in found.items():
                 r = places.index(place)
-                fitted = _fitted(run, wanted, beside, orders_of(study.design))
-                for k, order in enumerate(wanted):
-                    seen[order_name(order)][r] = fitted.value[k]
+                values, mean, floor = _fitted(run, wanted, beside, orders_of(study.design))
+                for order, value in zip(wanted, values):
+                    seen[order_name(order)][r] = value
                 if "mean" in seen:
-                    seen["mean"][r] = fitted.mean
+                    seen["mean"][r] = mean
                 for key in groups:
-                    sds[key][u, r] = given.noise or fitted.floor
+                    sds[key][u, r] = given.noise or floor
             data.append(seen)
     if given.noise is not None:
         sd: PyTree = given.noise
@@ -190,15 +190,10 @@ def _by_place(runs: Sequence[Run]) -> dict[tuple[Conditions, int], Run]:
     return found
 
 
-@dataclasses.dataclass(frozen=True)
-class _Fitted:
-    value: np.ndarray
-    mean: float
-    floor: float
-
-
-def _fitted(run: Run, wanted: Sequence[int], beside: Sequence[int], parts: Mapping[str, float]) -> _Fitted:
-    """Orders of a run by least squares on its real angles; mean and order 1 are always fitted."""
+def _fitted(
+    run: Run, wanted: Sequence[int], beside: Sequence[int], parts: Mapping[str, float]
+) -> tuple[list[complex], float, float]:
+    """Orders of a run by least squares on its real angles, mean and noise floor; mean and order 1 are always fitted."""
     checked(run, max(wanted))
     judged = judge(run, parts)
     _check_alike(judged, wanted)
@@ -213,7 +208,7 @@ def _fitted(run: Run, wanted: Sequence[int], beside: Sequence[int], parts: Mappi
         raise ValueError(
             f"{run.source}: run {run.at.text()}: its noise floor is 0 arcsec; give identify.noise a number"
         )
-    return _Fitted(np.array([value[k] for k in wanted]), float(found.mean), floor)
+    return [value[k] for k in wanted], float(found.mean), floor
 
 
 def _check_alike(judged: Judged, wanted: Sequence[int]) -> None:

@@ -133,9 +133,9 @@ def _study(name: str, text: str, folder: Path, tables: Mapping[str, object]) -> 
     """The study of these tables, without those of commands."""
     table = {key: subtable(tables, key) for key in TABLES}
     design = parse_design(table["design"])
-    kind, record = models.kind(design), design.error_record
+    kind = models.kind(design)
     tolerances = parse_tolerances(design, table["tolerances"], folder)
-    costs = parse_costs(table["cost"], record, tolerances)
+    costs = parse_costs(table["cost"], tolerances)
     run = _run(table["run"])
     limits, read_in = parse_requirements(table["requirement"], kind.outputs)
     nominal = {name: item for name, item in limits.items() if isinstance(item, Nominal)}
@@ -158,7 +158,7 @@ def _study(name: str, text: str, folder: Path, tables: Mapping[str, object]) -> 
         requirements=requirements,
         read_in=read_in,
         accuracy=parse_accuracy(table["accuracy"], kind.outputs, requirements),
-        middles=parse_middles(table["middle"], record, tolerances, variables),
+        middles=parse_middles(table["middle"], tolerances, variables),
         about=_about(table["about"]),
         identification=identification,
         columns=table["columns"],
@@ -214,8 +214,8 @@ def _conditions(
 
 _LIMITS = ("half_width", "lower", "upper", "grade", *FORMS)  # keys that say where the limits of an error are
 Parts = list[str | dict[str, PyTree]]
-_Gaps = dict[tuple[str, ...], list[tuple[str, int, tuple[str, ...]]]]
-"""{names of the header: [(kind of gap, its number, keys that go into it)]}"""
+_Gaps = dict[tuple[str, ...], tuple[str, int]]
+"""{names of the header and of the key: (kind of the gap, its number)}"""
 
 
 def template(text: str, requirements: Mapping[str, Limits], fields: Sequence[str]) -> Parts | None:
@@ -234,15 +234,14 @@ def template(text: str, requirements: Mapping[str, Limits], fields: Sequence[str
     gaps: _Gaps = {}
     for k, name in enumerate(fields):
         form = RING_FORMS.get(name)
-        ringed = form is not None and form.word in ring
-        where = "tolerances", RING if ringed else name
-        gaps.setdefault(where, []).append(("field", k, (form.word,) if form is not None and ringed else _LIMITS))
+        where, keys = (RING, (form.word,)) if form is not None and form.word in ring else (name, _LIMITS)
+        gaps |= {("tolerances", where, key): ("field", k) for key in keys}
     responses = list(requirements)
     for key, entry in tables["requirement"].items():
         if (name := entry.get("response", key)) not in requirements:
             continue  # of the nominal design: no unit decides it
-        keys = tuple(requirements[name].prefix + end for end in ("lower", "upper"))
-        gaps["requirement", key] = [("response", responses.index(name), keys)]
+        for end in ("lower", "upper"):
+            gaps["requirement", key, requirements[name].prefix + end] = "response", responses.index(name)
     for written in (text, canonical(tables)):
         parts = _with_gaps(written, gaps)
         if _fits(parts, tables, gaps):
@@ -252,19 +251,17 @@ def template(text: str, requirements: Mapping[str, Limits], fields: Sequence[str
 
 def _with_gaps(text: str, gaps: _Gaps) -> Parts:
     parts: Parts = []
-    here: dict[str, tuple[str, int]] = {}  # kind and number of the gap of each key in this table
+    header: tuple[str, ...] = ()
     made: dict[tuple[str, int], dict[str, PyTree]] = {}
     for line in (f"{line}\n" for line in text.removesuffix("\n").split("\n")):
-        if line.lstrip().startswith("["):
-            here = {key: (kind, number) for kind, number, keys in gaps.get(_header(line), []) for key in keys}
-            made = {}
+        header = _header(line) if line.lstrip().startswith("[") else header
         key = re.match(r"\s*([\w-]+)\s*=", line)
-        if key and key[1] in here:
-            kind, number = here[key[1]]
-            if (kind, number) not in made:
-                made[kind, number] = {kind: number, "own": ""}
-                parts.append(made[kind, number])
-            made[kind, number]["own"] += line
+        gap = gaps.get((*header, key[1])) if key else None
+        if gap is not None:
+            if gap not in made:
+                made[gap] = {gap[0]: gap[1], "own": ""}
+                parts.append(made[gap])
+            made[gap]["own"] += line
         elif parts and isinstance(last := parts[-1], str):
             parts[-1] = last + line
         else:
@@ -287,20 +284,20 @@ def _header(line: str) -> tuple[str, ...]:
 
 def _fits(parts: Parts, tables: Mapping[str, PyTree], gaps: _Gaps) -> bool:
     """True if every gap occurs once and filling it replaces only the limits."""
-    if sum(not isinstance(part, str) for part in parts) != sum(map(len, gaps.values())):
+    if sum(not isinstance(part, str) for part in parts) != len(set(gaps.values())):
         return False
     try:
         written = (p if isinstance(p, str) else f"{_filled(*next(iter(p.items())))} = 0\n" for p in parts)
         filled = tomllib.loads("".join(written))
     except tomllib.TOMLDecodeError:
         return False
-    for (table, name), own in gaps.items():
+    for table, name in {(table, name) for table, name, _ in gaps}:
         entry = tables[table].get(name)
         if entry is None:
             return False
-        moved = {key for _, _, keys in own for key in keys}
+        moved = {key: gap for (*where, key), gap in gaps.items() if where == [table, name]}
         expected = {key: value for key, value in entry.items() if key not in moved}
-        if filled.get(table, {}).get(name) != expected | {_filled(kind, number): 0 for kind, number, _ in own}:
+        if filled.get(table, {}).get(name) != expected | {_filled(*gap): 0 for gap in moved.values()}:
             return False
         filled[table][name] = entry
     return filled == tables

@@ -3,7 +3,6 @@
 Statistics and allocation use only the response `errors -> Outcome`, no gears; models use no statistics.
 """
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Self
@@ -22,6 +21,7 @@ from rvjax.records import Design, PyTree, Record, Scalar, field, record, text
 from rvjax.response import per_response
 from rvjax.status import SUCCESS, Status, worst
 from rvjax.study.kinds import changed
+from rvjax.study.tolerances import by_error
 from rvjax.tolerances import Outcome
 
 Settings = tuple[tuple[str, PyTree], ...]
@@ -202,7 +202,7 @@ class DesignResponse(Record):
 
 def followed_bounds(tolerances: Record) -> tuple[str, ...]:
     """Errors without a place that have no tolerance of their own and follow from an error with one."""
-    given = {f.name for f in dataclasses.fields(tolerances) if getattr(tolerances, f.name) is not None}
+    given = by_error(tolerances)
     bounds = described(tolerances, "bounds")
     return tuple(name for name, bound in bounds.items() if bound.placed in given and name not in given)
 

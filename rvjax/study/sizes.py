@@ -13,7 +13,7 @@ from rvjax.population import Tolerance, coarsest_grade
 from rvjax.records import Design, Record
 from rvjax.study.kinds import kind_of, number_at
 from rvjax.study.kinds.kind import Feature
-from rvjax.study.tolerances import FORMS, metadata
+from rvjax.study.tolerances import FORMS, by_error, metadata
 from rvjax.units import mm, um
 
 DIGITS, COARSE_DIGITS = 3, 2
@@ -67,7 +67,7 @@ def sizes_of(design: Design, tolerances: Record) -> list[Size]:
         design: the reducer, with the numbers that deviations refer to.
         tolerances: record with a Tolerance or None in each field.
     """
-    given = {f.name: one for f in dataclasses.fields(tolerances) if (one := getattr(tolerances, f.name)) is not None}
+    given = by_error(tolerances)
     features = {name: _feature(design, name) for name in given}
     sized: dict[frozenset[str], list[str]] = {}
     for name, feature in features.items():

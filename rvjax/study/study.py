@@ -35,7 +35,7 @@ from rvjax.study.response import (
     refuse,
     span_of,
 )
-from rvjax.study.tolerances import Form, forms, mid_points
+from rvjax.study.tolerances import Form, by_error, forms, metadata, mid_points
 from rvjax.study.values import (
     StudyError as StudyError,  # other modules take it from here
     is_initial,
@@ -242,13 +242,12 @@ class Study:
     @property
     def fields(self) -> list[str]:
         """Names of the errors with a tolerance, in the order of the error record."""
-        names = [f.name for f in dataclasses.fields(self.tolerances)]
-        return [name for name in names if getattr(self.tolerances, name) is not None]
+        return list(by_error(self.tolerances))
 
     def unit(self, field: str) -> str:
         """SI unit of an error."""
-        fields = dataclasses.fields(self.tolerances)
-        return next(f.metadata["unit"] for f in fields if f.name == field)
+        unit: str = metadata(type(self.tolerances), field)["unit"]
+        return unit
 
     @property
     def doubts(self) -> list[str]:

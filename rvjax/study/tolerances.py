@@ -163,14 +163,15 @@ def _text(value: float) -> str:
     return f"{value!r} m"
 
 
-def scalars(tolerances: Record) -> dict[str, Tolerance]:
-    """Tolerances of numbers, not of vectors, by error.
+def by_error(tolerances: Record) -> dict[str, Tolerance]:
+    """Tolerances that are given, by error, in the order of the error record; each field has a Tolerance or None."""
+    fields = {f.name: getattr(tolerances, f.name) for f in dataclasses.fields(tolerances)}
+    return {name: tolerance for name, tolerance in fields.items() if tolerance is not None}
 
-    Args:
-        tolerances: a Tolerance or None in each field.
-    """
-    given = {f.name: getattr(tolerances, f.name) for f in dataclasses.fields(tolerances)}
-    return {name: one for name, one in given.items() if one is not None and not one.law.of_vectors}
+
+def scalars(tolerances: Record) -> dict[str, Tolerance]:
+    """Tolerances of numbers, not of vectors, by error."""
+    return {name: one for name, one in by_error(tolerances).items() if not one.law.of_vectors}
 
 
 def mid_points(tolerances: Record, record: type[Record]) -> PyTree:
@@ -199,7 +200,7 @@ def refuse_unplaced(kind: models.Kind, outputs: Sequence[str], tolerances: Recor
 
 def metadata(record: type[Record], field: str) -> Metadata:
     """Metadata of a field of a class of records."""
-    return next(f.metadata for f in dataclasses.fields(record) if f.name == field)
+    return record.__dataclass_fields__[field].metadata
 
 
 def parse_tolerances(design: Design, table: Toml, folder: Path) -> PyTree:

@@ -8,10 +8,10 @@ from rvjax.designs import CamRollerReducer, RVReducer
 from rvjax.mesh_force import largest_roller_radius, undercut_margin
 from rvjax.mounting import unit_errors
 from rvjax.records import PyTree, Record, Scalar
-from rvjax.study.kinds import cycloidal
+from rvjax.study.kinds import cycloidal, rv_facts, rv_starts
 from rvjax.study.kinds.kind import (
     Assumed as Assumed,
-    Choices as Choices,
+    Choices,
     Drawing as Drawing,
     Kind as Kind,
     Known as Known,
@@ -19,22 +19,13 @@ from rvjax.study.kinds.kind import (
     drawn,
     features,
 )
-from rvjax.study.kinds.rv_facts import (
-    DERIVED_FROM,
-    FOLLOWING,
-    RATED as RATED,
-    SPEED,
-    TORQUE as TORQUE,
-    derivation,
-    doubts,
-    facts,
-    followed,
-    implied,
-    of_another_size,
-    refuse,
+from rvjax.study.kinds.scaling import (
+    Law as Law,
+    number_at as number_at,
+    outside as outside,
+    replaced as replaced,
+    split as split,
 )
-from rvjax.study.kinds.rv_starts import NEEDED, STARTS, rated_torque
-from rvjax.study.kinds.scaling import Law as Law, number_at as number_at, outside as outside, split as split
 from rvjax.study.kinds.tables import variable_tables as variable_tables
 
 __all__ = ["KINDS", "Kind", "changed", "facts_of", "kind_of", "orders_of"]
@@ -53,17 +44,17 @@ def _rv_caption(design: RVReducer) -> str:
 _RV = Kind(
     design=RVReducer,
     name="an RV reducer",
-    facts=facts,
-    derivation=derivation,
-    derived_from=DERIVED_FROM,
-    followed=followed,
-    implied=implied,
-    following=FOLLOWING,
-    refuse=refuse,
-    doubts=doubts,
-    rated=RATED,
-    speed=SPEED,
-    of_another_size=of_another_size,
+    facts=rv_facts.facts,
+    derivation=rv_facts.derivation,
+    derived_from=rv_facts.DERIVED_FROM,
+    followed=rv_facts.followed,
+    implied=rv_facts.implied,
+    following=rv_facts.FOLLOWING,
+    refuse=rv_facts.refuse,
+    doubts=rv_facts.doubts,
+    rated=rv_facts.RATED,
+    speed=rv_facts.SPEED,
+    of_another_size=rv_facts.of_another_size,
     remedies=("contact.face_width", "stiffness.turning_arm_bearing", "stiffness.support_bearing"),
     orders=attrgetter("orders"),
     unit_errors=unit_errors,
@@ -73,9 +64,9 @@ _RV = Kind(
         drawn("drawings.before_and_after"),
         "Section of the second stage, drawn to scale, before and after",
     ),
-    starts=STARTS,
-    needed=NEEDED,
-    torque=rated_torque,
+    starts=rv_starts.STARTS,
+    needed=rv_starts.NEEDED,
+    torque=rv_starts.rated_torque,
     features=features("ring", "rv"),
 )
 

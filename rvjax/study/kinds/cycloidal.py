@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rvjax.catalogue import sharp_from, shown, walk
+from rvjax.catalogue import pin_facts, refuse_overlap, shown, walk
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.mounting import unit_errors
 from rvjax.records import Scalar
@@ -28,12 +28,8 @@ HARMONICS = 3  # of the passing holes and pins
 
 def facts(design: CycloidalReducer) -> Iterator[tuple[str, str]]:
     """(name, value) of what follows from the numbers of a design."""
-    cycloid, output = design.cycloid, design.output
+    cycloid, output, hole = design.cycloid, design.output, _hole(design)
     sense = "opposite to the input" if design.ratio < 0 else "with the input"
-    k1 = cycloid.shortening_coefficient
-    least = sharp_from(cycloid)
-    sharp = "undercut" if cycloid.pin_radius >= least else "no undercut"
-    hole = _hole(design)
     yield "ratio", f"{abs(design.ratio)}:1, output {sense}"
     yield (
         "hole diameter",
@@ -41,12 +37,7 @@ def facts(design: CycloidalReducer) -> Iterator[tuple[str, str]]:
         f"{shown(output.hole_clearance, 'm')}",
     )
     yield "discs", _discs(design)
-    yield "K1", f"{float(k1):.4g}"
-    yield "gap between pins", shown(2 * (_half_pitch(design) - cycloid.pin_radius), "m")
-    yield (
-        "largest pin without undercut",
-        f"{shown(least, 'm')} radius; the pins have {shown(cycloid.pin_radius, 'm')}: {sharp}",
-    )
+    yield from pin_facts(cycloid)
     yield "gap between holes", shown(2 * (_half_spacing(design) - hole), "m")
     yield "wall outside the holes", shown(_root(design) - output.circle_radius - hole, "m")
 
@@ -64,11 +55,6 @@ def _hole(design: CycloidalReducer) -> float:
 def _half_spacing(design: CycloidalReducer) -> float:
     """Half of the distance of neighbouring holes, m."""
     return float(design.output.circle_radius * math.sin(math.pi / design.output.count))
-
-
-def _half_pitch(design: CycloidalReducer) -> float:
-    """Half of the distance of neighbouring pins of the ring, m."""
-    return float(design.cycloid.pin_circle_radius * math.sin(math.pi / design.cycloid.pin_count))
 
 
 def _root(design: CycloidalReducer) -> float:
@@ -109,11 +95,7 @@ def refuse(design: CycloidalReducer) -> None:
             f"design.output.hole_clearance = {shown(output.hole_clearance, 'm')}: holes must have pin diameter + 2 "
             f"eccentricity = {due}, here they have {_exact(2 * hole)}"
         )
-    if cycloid.pin_radius >= (pitch := _half_pitch(design)):
-        raise ValueError(
-            f"design.cycloid.pin_radius = {shown(cycloid.pin_radius, 'm')}: the pins overlap from {shown(pitch, 'm')} "
-            f"on ({cycloid.pin_count} pins on a circle of radius {shown(cycloid.pin_circle_radius, 'm')})"
-        )
+    refuse_overlap(cycloid)
     if hole >= (half := _half_spacing(design)):
         raise ValueError(
             f"design.output.pin_radius = {shown(output.pin_radius, 'm')}: the holes have a radius of "

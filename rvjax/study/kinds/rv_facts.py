@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.programs import ONCE, quick
-from rvjax.catalogue import BASES, sharp_from, shown
+from rvjax.catalogue import BASES, pin_facts, refuse_overlap, shown
 from rvjax.designs import BallBearing, InvoluteStage, RollerBearing, RVReducer
 from rvjax.geometry import contact_ratio
 from rvjax.life import dynamic_rating, static_rating
@@ -36,19 +36,9 @@ DERIVED_FROM = frozenset(f"involute.{name}" for name in (*GEARS, *AGREE))
 
 def facts(design: RVReducer) -> Iterator[tuple[str, str]]:
     """(name, value) of what follows from the numbers of a design."""
-    cycloid, stage = design.cycloid, design.involute
-    gap = 2 * (cycloid.pin_circle_radius * math.sin(math.pi / cycloid.pin_count) - cycloid.pin_radius)
-    k1 = cycloid.shortening_coefficient
-    least = sharp_from(cycloid)
     yield "ratio", f"{design.ratio:.6g}"
-    yield "K1", f"{float(k1):.4g}"
-    yield "gap between pins", shown(gap, "m")
-    sharp = "undercut" if cycloid.pin_radius >= least else "no undercut"
-    yield (
-        "largest pin without undercut",
-        f"{shown(least, 'm')} radius; the pins have {shown(cycloid.pin_radius, 'm')}: {sharp}",
-    )
-    yield "contact ratio of the gears", f"{float(_overlap(stage)):.3g} (teeth without shift)"
+    yield from pin_facts(design.cycloid)
+    yield "contact ratio of the gears", f"{float(_overlap(design.involute)):.3g} (teeth without shift)"
 
 
 _overlap = quick(options=ONCE)(contact_ratio)  # one program instead of one for each operation
@@ -214,12 +204,7 @@ def refuse(design: RVReducer) -> None:
             f"design.involute.pressure_angle = {shown(design.involute.pressure_angle, 'rad')}: must lie below "
             f"{shown(MOST_PRESSURE, 'rad')}; gears have 14.5 to 30 deg"
         )
-    pitch = cycloid.pin_circle_radius * math.sin(math.pi / cycloid.pin_count)
-    if cycloid.pin_radius >= pitch:
-        raise ValueError(
-            f"design.cycloid.pin_radius = {shown(cycloid.pin_radius, 'm')}: the pins overlap from {shown(pitch, 'm')} "
-            f"on ({cycloid.pin_count} pins on a circle of radius {shown(cycloid.pin_circle_radius, 'm')})"
-        )
+    refuse_overlap(cycloid)
     root = cycloid.pin_circle_radius - cycloid.pin_radius - cycloid.eccentricity
     if cranks.circle_radius >= root:
         raise ValueError(

@@ -87,7 +87,7 @@ class Following:
                 own = number_at(design, path)
                 if path not in stands and own is not None:
                     new[path] = own * math.prod(ratio ** law.follows[p] for p, ratio in ratios.items())
-        return _replaced(design, new | dict(self.others(design, values, new, stands)))
+        return replaced(design, new | dict(self.others(design, values, new, stands)))
 
     def called(
         self, design: Design, paths: Collection[str], given: Collection[str] = ()
@@ -130,8 +130,13 @@ def split(path: str) -> tuple[list[str], int | None]:
     return found[1].split("."), None if found[2] is None else int(found[2])
 
 
-def _replaced(record: Record, changes: Mapping[str, object]) -> PyTree:
-    """A record of records with numbers replaced, by path: every record is checked once, with all its new numbers."""
+def replaced(record: Record, changes: Mapping[str, object]) -> PyTree:
+    """A record of records with numbers replaced, by path: every record is checked once, with all its new numbers.
+
+    Args:
+        record: such as a design.
+        changes: new numbers by path.
+    """
     own: dict[str, PyTree] = {}
     parts: dict[str, dict[str, PyTree]] = {}
     for path, value in changes.items():
@@ -143,7 +148,7 @@ def _replaced(record: Record, changes: Mapping[str, object]) -> PyTree:
             own[names[0]] = jnp.asarray(own.get(names[0], getattr(record, names[0]))).at[element].set(value)
         else:
             own[name] = value
-    return record.replace(**own, **{name: _replaced(getattr(record, name), inner) for name, inner in parts.items()})
+    return record.replace(**own, **{name: replaced(getattr(record, name), inner) for name, inner in parts.items()})
 
 
 def _there(design: Design, path: str) -> bool:

@@ -45,22 +45,19 @@ def stated(match: re.Match[str], value: str, *notes: str | None) -> str:
     return f"{line} # {comment}" if comment else line
 
 
-def scaled_line(
-    path: tuple[str, ...], match: re.Match[str], ratios: Mapping[str, tuple[float, str]], *, of: str = "um"
-) -> str:
-    """The line with its length times the ratio of its error; unchanged where there is none.
+def scaled_line(path: tuple[str, ...], match: re.Match[str], ratios: Mapping[str, tuple[float, str]]) -> str:
+    """The line with its length in um times the ratio of its error; unchanged where there is none.
 
     Args:
         path: names of the table and the key.
         match: of the line.
         ratios: (ratio, note) by error, or by "error.key".
-        of: unit of the lengths.
     """
     number, names = float(match["number"]), (".".join(path[1:3]), path[1] if len(path) > 2 else "")
     ratio, note = next((ratios[name] for name in names if name in ratios), (1.0, ""))
-    if match["unit"] != of or ratio == 1 or not number:
+    if match["unit"] != "um" or ratio == 1 or not number:
         return match[0]
-    return stated(match, f"{number * ratio:.6g} {of}", match["note"], note)
+    return stated(match, f"{number * ratio:.6g} um", match["note"], note)
 
 
 def with_torque(path: tuple[str, ...], match: re.Match[str], torque: Assumed | None, note: str | None = None) -> str:

@@ -1,4 +1,4 @@
-"""The stiffness matrix as the appendix of Yang, Chen, Wang 2018 prints it, with its sign error.
+"""The stiffness matrix as the appendix of Yang, Chen, Wang 2018 prints it, block by block, with its sign error.
 
 Entry (1, 2) of the crank-disc coupling is published as -sin(psi). With it a translation of the whole reducer strains
 the bearings, which no rigid motion can; +sin(psi) makes the published matrices equal to the sum over the springs.
