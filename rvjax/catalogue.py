@@ -93,16 +93,24 @@ def sources(base: str) -> dict[str, str]:
     Args:
         base: as studies name it, such as "rv-40e".
     """
-    found, reducer, section, all_of_it = dict[str, str](), _named(base), "", ""
-    reducers = {reducer, reducer.removesuffix("_WHOLE")}
-    for line in re.sub(r"\n#   (?=\S)", " ", _TEXT).splitlines():  # a comment may go on in the next line
-        if header := re.fullmatch(r"\[(.*)\](?:  # )?(.*)", line):
-            section, all_of_it = header.groups()
-        owner, _, part = section.partition(".")
-        key, equals, rest = line.partition(" = ")
-        if owner in reducers and equals and not key.startswith("#"):
-            found[f"{part}.{key}" if part else key] = rest.partition("# ")[2] or all_of_it
-    return found
+    text = re.sub(r"\n#   (?=\S)", " ", _TEXT)  # a comment may go on in the next line
+    tables = dict.fromkeys((_named(base).removesuffix("_WHOLE"), _named(base)))
+    return {path: note or heading for table in tables for path, note, heading in noted(text, table)}
+
+
+def noted(text: str, table: str) -> Iterator[tuple[str, str, str]]:
+    """(path, its comment, comment of its header) of every key of a table of a TOML text, and of the tables in it.
+
+    Args:
+        text: TOML with a key on each line.
+        table: such as "design" or "requirement".
+    """
+    section, heading = [""], ""
+    for line in text.splitlines():
+        if header := re.match(r"\s*\[([^\]]*)\]\s*(?:#\s*(.*))?", line):
+            section, heading = header[1].strip().split("."), header[2] or ""
+        elif section[0] == table and (key := re.match(r"\s*([\w.-]+)\s*=[^#]*(?:#\s*(.*))?$", line)):
+            yield ".".join([*section[1:], key[1]]), key[2] or "", heading
 
 
 def assumed(base: str) -> list[str]:

@@ -221,7 +221,7 @@ def _overridden(design: PyTree) -> dict[str, Scalar]:
     values: dict[str, Scalar] = {}
     for path, value, _ in walk(design):
         *parts, name = path.split(".")
-        derived = getattr(reduce(getattr, parts, design), f"derived_{name}", None)
+        derived: PyTree = getattr(reduce(getattr, parts, design), f"derived_{name}", None)
         alike = is_concrete(value) and is_concrete(derived) and np.allclose(value, derived, rtol=1e-9, atol=0)
         if derived is not None and not alike:
             values[path] = value

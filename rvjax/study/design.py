@@ -5,7 +5,6 @@ give a warning: a wrong unit in a file is not detected elsewhere.
 """
 
 import dataclasses
-import re
 from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -175,13 +174,9 @@ def comments(text: str, table: str = "design") -> dict[str, str]:
         text: of the study.
         table: such as "design" or "requirement".
     """
-    found, section, heading = dict[str, str](), "", ""
-    for line in text.splitlines():
-        if header := re.match(r"\s*\[([^\]]*)\]\s*(?:#\s*(.*))?", line):
-            section, heading = header[1].strip(), header[2] or ""
-        elif section.split(".")[0] == table and (key := re.match(r"\s*([\w.-]+)\s*=[^#]*(?:#\s*(.*))?$", line)):
-            path = ".".join([*section.split(".")[1:], key[1]])
-            found[path] = "; ".join(filter(None, [key[2], heading if heading.startswith("assumed") else ""]))
+    found = {}
+    for path, note, heading in catalogue.noted(text, table):
+        found[path] = "; ".join(filter(None, [note, heading if heading.startswith("assumed") else ""]))
     return found
 
 

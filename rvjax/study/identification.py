@@ -51,7 +51,6 @@ class Identification:
         unknown: {number of the design: its prior}.
         torques: of planned runs and of candidates for the next one, N m.
         directions: of the same.
-        columns: foreign names of the columns of the data.
     """
 
     model: str
@@ -62,7 +61,6 @@ class Identification:
     unknown: dict[str, Tolerance] = dataclasses.field(default_factory=dict)
     torques: tuple[float, ...] = ()
     directions: tuple[str, ...] = tuple(DIRECTIONS)
-    columns: Toml = dataclasses.field(default_factory=dict)
 
     def prior(self, tolerances: Record) -> dict[str, Tolerance]:
         """All fields of the values of a unit: errors that vary, unknown numbers, nuisances of the bench."""
@@ -70,14 +68,11 @@ class Identification:
         return by_error(tolerances) | self.unknown | bench
 
 
-def parse_identification(
-    table: Toml, columns: Toml, design: PyTree, tolerances: Record, folder: Path
-) -> Identification:
+def parse_identification(table: Toml, design: PyTree, tolerances: Record, folder: Path) -> Identification:
     """Read the table [identify].
 
     Args:
         table: as written.
-        columns: the table [columns].
         design: the reducer.
         tolerances: of its errors.
         folder: that files named in the study are relative to.
@@ -117,9 +112,8 @@ def parse_identification(
             raise ValueError(f"identify.nuisance = {name!r}: no observation of model {model!r} has it{why}")
     shared = tuple(choice(name, own, "identify.shared") for name in _list(table, "shared"))
     torques = tuple(quantity(t, "N m", "identify.torques") for t in _list(table, "torques"))
-    directions = tuple(choice(d, DIRECTIONS, "identify.directions") for d in _list(table, "directions")) or tuple(
-        DIRECTIONS
-    )
+    chosen = _list(table, "directions") or DIRECTIONS
+    directions = tuple(choice(direction, DIRECTIONS, "identify.directions") for direction in chosen)
     return Identification(
         model=model,
         orders=orders,
@@ -129,7 +123,6 @@ def parse_identification(
         unknown=unknown,
         torques=torques,
         directions=directions,
-        columns=columns,
     )
 
 

@@ -144,7 +144,7 @@ def _study(name: str, text: str, folder: Path, tables: Mapping[str, object]) -> 
     objective, losses = parse_objective(table["objective"], kind.outputs), parse_losses(table["loss"], kind.outputs)
     identification = None
     if "identify" in tables:
-        identification = parse_identification(table["identify"], table["columns"], design, tolerances, folder)
+        identification = parse_identification(table["identify"], design, tolerances, folder)
     if requirements:
         refuse_unplaced(kind, tuple(dict.fromkeys((*requirements, *losses))), tolerances)
     outputs = tuple(dict.fromkeys((*limits, *objective, *losses)))

@@ -64,8 +64,8 @@ class IdentifyInputs(Inputs):
     def __post_init__(self) -> None:
         """Read the study and the bench data."""
         self.study = study.load(self.source, solve=False, needs=("design", "tolerances"))
-        columns = identification_of(self.study).columns
-        self.measured = read_measured(self.data, columns, encoding=self.encoding) if self.data else None
+        identification_of(self.study)  # raises an error before the data is read
+        self.measured = read_measured(self.data, self.study.columns, encoding=self.encoding) if self.data else None
         if self.measured is None and not self.check:
             raise ValueError("no data: name at least one CSV file, or use --check for the identifiability")
         self.folder = None if self.check else results_folder(self.results, self.study.name)

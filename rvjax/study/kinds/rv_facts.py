@@ -128,14 +128,8 @@ LENGTHS = ("cycloid.eccentricity", "cycloid.pin_circle_radius")  # K1 follows th
 
 LAWS = tuple(
     Law(
-        entry["name"],
-        tuple(entry["numbers"]),
-        {_FILE["numbers"][key]: float(power) for key, power in entry["follows"].items()},
-        (float(entry["interval"][0]), float(entry["interval"][1])),
-        entry["source"],
-        entry.get("whole", False),
-        entry.get("exact", False),
-        entry.get("unless", ""),
+        **{key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()}
+        | {"follows": {_FILE["numbers"][key]: float(power) for key, power in entry["follows"].items()}}
     )
     for entry in _FILE["law"]
 )

@@ -9,18 +9,12 @@ import math
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import jax.numpy as jnp
 
 from rvjax.records import Design, PyTree, Record, Scalar
 
 Follow = Callable[[PyTree, Mapping[str, Scalar], Mapping[str, PyTree], Collection[str]], Mapping[str, PyTree]]
-
-
-def _nothing_else(*_: object) -> Any:
-    """No numbers."""
-    return {}
 
 
 @dataclass(frozen=True)
@@ -65,7 +59,7 @@ class Following:
     """
 
     laws: tuple[Law, ...] = ()
-    others: Follow = _nothing_else
+    others: Follow = lambda *_: {}
     bound: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
     instead: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
