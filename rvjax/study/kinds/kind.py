@@ -19,6 +19,12 @@ from rvjax.records import PyTree
 from rvjax.study.kinds.scaling import Following, number_at
 from rvjax.study.values import Toml, in_unit
 
+
+def _none(*_: object) -> Any:
+    """No lines and no numbers."""
+    return []
+
+
 Numbers = Mapping[str, PyTree]
 """Numbers of a design by path, SI."""
 
@@ -67,6 +73,25 @@ class Known:
     stated: frozenset[str] = frozenset()
 
 
+def _nothing(*_: object) -> None:
+    """Nothing."""
+
+
+def _no_text(*_: object) -> str:
+    """No text."""
+    return ""
+
+
+def _first(*given: object) -> Any:
+    """The first argument, unchanged."""
+    return given[0]
+
+
+def _as_given(*given: Any) -> tuple[Numbers, dict[str, Assumed]]:
+    """The numbers of the source, and no others."""
+    return given[0].numbers, {}
+
+
 HEAD = (
     "# A study to change, with the numbers of the {name}: replace them by those of your drawing, then run\n"
     "# rvjax check on this file. Tolerances, costs and limits are assumed.\n\n"
@@ -108,9 +133,9 @@ class Start:
     study: str
     parts: tuple[str, ...] = ()
     head: str = HEAD
-    complete: Callable[[Known, Any], tuple[Numbers, Mapping[str, Assumed]]] = lambda given, _: (given.numbers, {})
-    tables: Callable[[str, Numbers, Known], str] = lambda text, *_: text
-    unread: Callable[[Numbers], str] = lambda *_: ""
+    complete: Callable[[Known, Any], tuple[Numbers, Mapping[str, Assumed]]] = _as_given
+    tables: Callable[[str, Numbers, Known], str] = _first
+    unread: Callable[[Numbers], str] = _no_text
     choices: Choices | None = None
 
 
@@ -315,29 +340,29 @@ class Kind:
 
     design: type
     name: str
-    facts: Callable[[Any], Iterable[tuple[str, str]]] = lambda *_: []
-    derivation: Callable[[Any, str, Any], str] = lambda *_: ""
+    facts: Callable[[Any], Iterable[tuple[str, str]]] = _none
+    derivation: Callable[[Any, str, Any], str] = _no_text
     derived_from: frozenset[str] = frozenset()
-    followed: Callable[[Any, Toml], Any] = lambda design, _: design
-    implied: Callable[[Numbers], Collection[str]] = lambda *_: []
+    followed: Callable[[Any, Toml], Any] = _first
+    implied: Callable[[Numbers], Collection[str]] = _none
     following: Following = field(default_factory=Following)
-    refuse: Callable[[Any], None] = lambda _: None
-    doubts: Callable[[Any], list[str]] = lambda *_: []
-    coarse: Callable[[Any, Any, Collection[str]], list[str]] = lambda *_: []
-    inaccurate: Callable[[Any, Any], list[str]] = lambda *_: []
+    refuse: Callable[[Any], None] = _nothing
+    doubts: Callable[[Any], list[str]] = _none
+    coarse: Callable[[Any, Any, Collection[str]], list[str]] = _none
+    inaccurate: Callable[[Any, Any], list[str]] = _none
     remedies: tuple[str, ...] = ()
     usual: tuple[str, ...] = ()
     turning: Callable[[Any, Any, Any], list[str]] | None = None
     rated: Mapping[str, float] = field(default_factory=dict)
     speed: float = math.inf
-    of_another_size: Callable[[Any, float], str] = lambda *_: ""
+    of_another_size: Callable[[Any, float], str] = _no_text
     orders: Callable[[Any], Mapping[str, float]] | None = None
-    multiples: Callable[[Any], Sequence[int]] = lambda *_: []
+    multiples: Callable[[Any], Sequence[int]] = _none
     unit_errors: Callable[..., Any] | None = None
     drawing: Drawing | None = None
     starts: Mapping[str, Start] = field(default_factory=dict)
     needed: tuple[str, ...] = ()
-    torque: Callable[[Known], Assumed | None] = lambda _: None
+    torque: Callable[[Known], Assumed | None] = _nothing
     processes: tuple[str, ...] = ()
     features: Mapping[str, Feature] = field(default_factory=dict)
 

@@ -17,6 +17,11 @@ from rvjax.records import Design, PyTree, Record, Scalar
 Follow = Callable[[PyTree, Mapping[str, Scalar], Mapping[str, PyTree], Collection[str]], Mapping[str, PyTree]]
 
 
+def _nothing_else(*_: object) -> dict[str, PyTree]:
+    """No numbers."""
+    return {}
+
+
 @dataclass(frozen=True)
 class Law:
     """One scaling law.
@@ -59,7 +64,7 @@ class Following:
     """
 
     laws: tuple[Law, ...] = ()
-    others: Follow = lambda *_: {}
+    others: Follow = _nothing_else
     bound: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
     instead: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
