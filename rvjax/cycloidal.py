@@ -210,14 +210,7 @@ class CycloidalReducer(Record):
     @property
     def counts(self) -> dict[str, int]:
         """Sizes of the named axes in the shapes of this design's errors; the shaft counts as the one crank."""
-        cycloid = self.cycloid
-        return {
-            "discs": cycloid.disc_count,
-            "cranks": 1,
-            "pins": cycloid.pin_count,
-            "teeth": cycloid.disc_teeth,
-            "output_pins": self.output.count,
-        }
+        return self.cycloid.counts | {"cranks": 1, "output_pins": self.output.count}
 
     @property
     def orders(self) -> dict[str, float]:
@@ -227,12 +220,11 @@ class CycloidalReducer(Record):
         times against the ring and passes all its pins. Discs without errors make the orders of these passings.
         """
         teeth, pins = self.cycloid.disc_teeth, self.cycloid.pin_count
-        holes = self.output.count * pins
-        whole = {"disc teeth": teeth, "pins": pins, "twice the disc teeth": 2 * teeth, "twice the pins": 2 * pins}
-        whole |= {"holes": holes, "twice the holes": 2 * holes, "three times the holes": 3 * holes}
-        whole |= {"passing of the pins": teeth * pins}
+        holes = float(self.output.count * pins)
+        passing = {"holes": holes, "twice the holes": 2 * holes, "three times the holes": 3 * holes}
+        passing |= {"passing of the pins": float(teeth * pins)}
         shaft = {"shaft": abs(self.ratio), "shaft against the output": abs(self.ratio - 1)}
-        return {name: float(order) for name, order in whole.items()} | shaft
+        return self.cycloid.orders | passing | shaft
 
     @property
     def multiples(self) -> tuple[int, ...]:

@@ -111,6 +111,17 @@ class CycloidStage(Record):
         """K1 where none is given."""
         return self.eccentricity * self.pin_count / self.pin_circle_radius
 
+    @property
+    def counts(self) -> dict[str, int]:
+        """Sizes of the axes of discs, pins and teeth."""
+        return {"discs": self.disc_count, "pins": self.pin_count, "teeth": self.disc_teeth}
+
+    @property
+    def orders(self) -> dict[str, float]:
+        """Orders of the output turn that disc teeth and pins cause."""
+        teeth, pins = float(self.disc_teeth), float(self.pin_count)
+        return {"disc teeth": teeth, "pins": pins, "twice the disc teeth": 2 * teeth, "twice the pins": 2 * pins}
+
     def _check(self) -> None:
         values = (self.eccentricity, self.pin_circle_radius, 0.0 if self.shortening is None else self.shortening)
         if concrete(*values) and (self.shortening_coefficient >= 1 or self.shortening_coefficient <= 0):
@@ -262,12 +273,8 @@ class RVReducer(Record):
     @property
     def orders(self) -> dict[str, float]:
         """Orders of the output turn that parts of the reducer cause; an order need not be a whole number."""
-        teeth, pins = self.cycloid.disc_teeth, self.cycloid.pin_count
-        whole = {"disc teeth": teeth, "pins": pins, "twice the disc teeth": 2 * teeth, "twice the pins": 2 * pins}
-        return {name: float(order) for name, order in whole.items()} | {
-            "sun": float(self.ratio),
-            "sun against the carrier": float(self.ratio) - 1,
-        }
+        sun = {"sun": float(self.ratio), "sun against the carrier": float(self.ratio) - 1}
+        return self.cycloid.orders | sun
 
     def stiffer(self, factor: Scalar) -> Self:
         """Reducer with all spring stiffnesses multiplied by a factor."""
@@ -279,13 +286,7 @@ class RVReducer(Record):
     @property
     def counts(self) -> dict[str, int]:
         """Sizes of the named axes in the shapes of this design's errors."""
-        cycloid = self.cycloid
-        return {
-            "discs": cycloid.disc_count,
-            "cranks": self.cranks.count,
-            "pins": cycloid.pin_count,
-            "teeth": cycloid.disc_teeth,
-        }
+        return self.cycloid.counts | {"cranks": self.cranks.count}
 
 
 @record

@@ -16,8 +16,9 @@ from scipy import optimize
 
 from rvjax import loaded
 from rvjax._jax.kernels import in_blocks
+from rvjax.base.fields import axis_sizes
 from rvjax.designs import Contact, CrankStage, CycloidStage, InvoluteStage, RVReducer, Stiffness
-from rvjax.errors import RVErrors
+from rvjax.errors import RVErrors, described
 from rvjax.records import Scalar
 from rvjax.units import arcmin, arcsec, deg, mm, um
 
@@ -51,13 +52,9 @@ TORQUE = np.array([0.0, 100, 200, 300, 400, 500, 700, 900, 1000, 1200, 1300, 140
 MEASURED = np.array([0.182, 0.599, 0.879, 1.132, 1.368, 1.513, 1.990, 2.436, 2.688, 3.143, 3.371, 3.560]) * arcmin
 FITTED = np.arange(len(TORQUE)) % 2 == 0
 
-DISCS, CRANKS, PINS, TEETH = (MACHINE.counts[name] for name in ("discs", "cranks", "pins", "teeth"))
-SHAPES: dict[str, tuple[int, ...]] = {
-    "pin_offset": (PINS, 2), "pin_radii": (PINS,), "ring_centre": (2,),
-    "disc_pitch": (DISCS, TEETH), "disc_centre": (DISCS, 2), "disc_profile": (DISCS, 5, 2),
-    "crank_eccentricity": (DISCS, CRANKS), "crank_phase": (CRANKS,), "disc_bore": (DISCS, CRANKS, 2),
-    "carrier_bore": (CRANKS, 2), "sun_runout": (2,), "planet_runout": (CRANKS, 2),
-}  # fmt: skip
+DRAWN = ["pin_offset", "pin_radii", "ring_centre", "disc_pitch", "disc_centre", "disc_profile"]
+DRAWN += ["crank_eccentricity", "crank_phase", "disc_bore", "carrier_bore", "sun_runout", "planet_runout"]
+SHAPES = {name: axis_sizes(described(RVErrors, "shape")[name], MACHINE.counts) for name in DRAWN}
 NONE = RVErrors(**{name: np.zeros(shape) for name, shape in SHAPES.items()})
 """No error, in the shapes that all units of this module have: one program solves them."""
 
