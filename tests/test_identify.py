@@ -9,7 +9,7 @@ import pytest
 from scipy import optimize
 
 from rvjax import identify
-from rvjax.identify.elements import Elements
+from rvjax.identify.elements import Elements, values_of
 from rvjax.identify.identification import Problem, slopes
 from rvjax.identify.posterior import contributions
 from rvjax.population.population import Population
@@ -51,11 +51,7 @@ def test_prior_numbers_are_those_of_a_population():
         z = np.random.default_rng(0).standard_normal(population.numbers)
         assert np.linalg.norm(elements.mixing, axis=1) == pytest.approx(1.0)
         expected = population.errors(jnp.asarray(z))
-        from rvjax.identify.elements import mapped
-
-        found = jax.tree.map(
-            lambda leaf: leaf[0], mapped(elements.population, jnp.asarray(elements.mixing @ z)[None])[1]
-        )
+        found = values_of(elements.population, jnp.asarray(elements.mixing @ z))
         jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-12), found, expected)
     assert elements.names[:2] == ("bore[0,0]", "bore[0,1]") and "nested.pin" in elements.names
 
@@ -141,7 +137,7 @@ def test_more_elements_than_numbers_takes_the_cheaper_derivative():
     found = identify.identifiability(model, {"x": unit(3.0, shape=(200,))}, noise=Noise(0.5))
     assert found.directions[0].information == pytest.approx(200) and len(found.directions) == 1 and seen
     assert set(found.verdict.values()) == {"unseen"}  # each has loading^2 = 1/200
-    _, jacobian, _ = slopes(lambda u: (jnp.tile(watched(u)[:1] * 2, 3), None), jnp.ones(1), 3)
+    _, jacobian = slopes(lambda u: jnp.tile(watched(u)[:1] * 2, 3), jnp.ones(1), 3)
     np.testing.assert_allclose(jacobian, [[2.0]] * 3)  # tangents would be cheaper, but the model has none
 
 

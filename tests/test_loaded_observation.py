@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from loaded_cases import NAMED, design_of, errors_of, plain, solve
 
-from rvjax.identify.elements import mapped
+from rvjax.identify.elements import values_of
 from rvjax.identify.identification import Problem
 from rvjax.identify.posterior import contributions
 from rvjax.loaded import observation, outputs
@@ -61,7 +61,7 @@ def test_slopes_of_a_curve(monkeypatch):
     found, slopes = problem.evaluate(u[None])
     assert len(model.split()[1]) == 4
     near = u + np.array([[-1e-4], [0], [1e-4]]) * along
-    values = jax.device_get(mapped(problem.elements.population, near)[1])
+    values = jax.device_get(jax.vmap(lambda u: values_of(problem.elements.population, u))(jnp.asarray(near)))
     below, here, above = (orders_of(jax.tree.map(lambda leaf, n=n: leaf[n], values)) for n in range(3))
     np.testing.assert_allclose(found[0], here, atol=1e-12 * np.abs(here).max())
     due = (above - below) / 2e-4

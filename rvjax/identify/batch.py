@@ -15,8 +15,8 @@ import numpy as np
 
 from rvjax._jax.checks import checked
 from rvjax.identify.elements import FAR, Elements, Spectrum, mapped_values, standard
-from rvjax.identify.gauss_newton import Mode, info_of
-from rvjax.identify.goodness_of_fit import ADEQUATE, Fit, goodness, largest, weights_of
+from rvjax.identify.gauss_newton import Mode, info_of, weights_of
+from rvjax.identify.goodness_of_fit import ADEQUATE, Fit, goodness, largest
 from rvjax.identify.identification import Model, Problem, counted, integer
 from rvjax.identify.observation import Noise
 from rvjax.identify.posterior import outcome
@@ -299,7 +299,7 @@ def _accept_kinks(problem: Problem, y: np.ndarray, lanes: Mode) -> None:
     wanting = near.any(axis=1) & (lanes.info.status != Status.CONVERGED).all(axis=1)
     for unit in np.flatnonzero(wanting):
         lane = int(np.argmin(np.where(near[unit], lanes.phi[unit], np.inf)))
-        peak = peak_of(problem, y[unit], *(item[unit, lane] for item in lanes[:5]))
+        peak = peak_of(problem, y[unit], lanes, (unit, lane))
         if not lower_points(problem, y[unit], peak, SIDES, bent=True):
             lanes.info.status[unit, lane] = Status.CONVERGED
 
@@ -310,15 +310,13 @@ def _figures(problem: Problem, split: Split, y: np.ndarray, units: Units, deviat
     u = np.where(good[:, None], units.u, 0.0)
     slopes, datum = units.rows[..., :-1], units.rows[..., -1]
     judged = goodness(slopes, elements.mixing, problem.nuisance, datum, seen, problem.dof)
-    weights = weights_of(units.residual, seen, problem.dof)
+    weights = seen * weights_of(units.residual, problem.dof)
     middle, one, other = (
         mapped_values(elements, u + sign * deviate * np.where(good[:, None], units.u_sd, 1.0)) for sign in (0, -1, 1)
     )
     common = np.einsum("kmp,kp->km", slopes[..., split.shared], u[:, split.shared])
     own = np.concatenate([slopes[..., split.own], (datum - common)[..., None]], axis=-1)
-    if not np.isinf(problem.dof):
-        own = np.sqrt(weights)[..., None] * own
-    factors = triangular(np.pad(own, ((0, 0), (0, max(own.shape[-1] - own.shape[-2], 0)), (0, 0))))
+    factors = triangular(own if problem.dof is None else np.sqrt(weights)[..., None] * own)
     adequate = judged["p_model"] >= ADEQUATE
 
     def known(numbers: np.ndarray) -> np.ndarray:

@@ -9,9 +9,9 @@ subspace has a meaning.
 
 import dataclasses
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from functools import cached_property, partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,8 +25,6 @@ from rvjax.records import PyTree
 
 FAR = 38.0
 """Standard deviations beyond which a normal distribution has no mass that a float distinguishes from 0."""
-
-"""Units in one call of the map: one program, and another one for draws."""
 
 _HALVINGS = 64  # of the interval (-FAR, FAR): to the last bit
 
@@ -43,9 +41,9 @@ def elementwise(population: Population, u: jax.Array) -> jax.Array:
 
 
 @jax.jit
-def mapped(population: Population, u: jax.Array) -> tuple[jax.Array, PyTree]:
-    """Values (k, p), and as structures with k on axis 0, of several units u (k, p)."""
-    return jax.vmap(partial(elementwise, population))(u), jax.vmap(partial(values_of, population))(u)
+def _mapped(population: Population, u: jax.Array) -> jax.Array:
+    """Values (k, p) of several units u (k, p)."""
+    return jax.vmap(partial(elementwise, population))(u)
 
 
 @jax.jit
@@ -67,8 +65,8 @@ def standard(population: Population, values: jax.Array) -> jax.Array:
 
 def mapped_values(elements: "Elements", u: np.ndarray) -> np.ndarray:
     """Values (k, p) of units u (k, p), on the host."""
-    few = lambda part: mapped(elements.population, part)[0]  # noqa: E731
-    return np.asarray(in_blocks(few, PRIORS[len(u) > PRIORS[1]], np.asarray(u, float)), float)
+    of_block = partial(_mapped, elements.population)
+    return np.asarray(in_blocks(of_block, PRIORS[len(u) > PRIORS[1]], np.asarray(u, float)), float)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -146,7 +144,6 @@ class Elements:
 
     def structure(self, values: np.ndarray) -> PyTree:
         """Return the structure of the prior with values (..., p): arrays (..., *shape), one number as a float."""
-        parts: Mapping[str, Any] = {}
         ends = np.cumsum([math.prod(t.shape) for t in self.population.active.values()])
         pieces = np.split(np.asarray(values, float), ends[:-1], axis=-1)
         shapes = (values.shape[:-1] + t.shape for t in self.population.active.values())
@@ -162,8 +159,7 @@ class Elements:
         Raises:
             ValueError: another structure or shape.
         """
-        leaves = self._beside(argument, values)
-        parts = []
+        leaves, parts = self.beside(argument, values), []
         for name, tolerance in self.population.active.items():
             try:
                 parts.append(np.broadcast_to(np.asarray(leaves[name], float), tolerance.shape).reshape(-1))
@@ -172,17 +168,18 @@ class Elements:
         return np.concatenate(parts)
 
     def beside(self, argument: str, other: object) -> dict[str, PyTree]:
-        """Leaves of `other`, a structure like the prior, by active field."""
-        leaves = self._beside(argument, other)
-        return {name: leaves[name] for name in self.population.active}
+        """Leaves of `other`, a structure like the prior, by active field.
 
-    def _beside(self, argument: str, other: object) -> dict[str, object]:
+        Raises:
+            ValueError: another structure.
+        """
         _, treedef = self.population._flat
         try:
             leaves = treedef.flatten_up_to(other)
         except (ValueError, TypeError):
             raise ValueError(f"{argument}: must have the structure of the prior, got {type(other).__name__}") from None
-        return dict(zip(self.population._leaves, leaves))
+        by_field = dict(zip(self.population._leaves, leaves))
+        return {name: by_field[name] for name in self.population.active}
 
     def at(self, argument: str, values: object) -> np.ndarray:
         """Find the u (p,) of values within the prior's distributions.
@@ -284,12 +281,6 @@ class Identifiability:
     directions: tuple[Direction, ...]
     inseparable: tuple[tuple[str, str, float], ...]
     information: float
-
-
-def covariance(spectrum: Spectrum, mixing: np.ndarray) -> np.ndarray:
-    """Posterior covariance of u = M z (..., p, p)."""
-    root = mixing @ spectrum.root
-    return np.asarray(root @ np.swapaxes(root, -1, -2))
 
 
 def findings(names: tuple[str, ...], mixing: np.ndarray, spectrum: Spectrum) -> Identifiability:

@@ -89,11 +89,14 @@ def half_square(residual: Array | np.ndarray, dof: Any) -> Any:
     return (dof + 1) / 2 * library.sum(library.log1p(residual**2 / dof), axis=-1)
 
 
-def roots_of_weights(residual: np.ndarray, dof: float | None) -> np.ndarray:
-    """sqrt(W) of each residual."""
-    if dof is None:
-        return np.ones_like(residual)
-    return np.sqrt((dof + 1) / (dof + residual**2))
+def weights_of(residual: np.ndarray, dof: float | None) -> np.ndarray:
+    """W of each residual, 1 for normal noise."""
+    return np.ones_like(residual) if dof is None else (dof + 1) / (dof + residual**2)
+
+
+def share_of(steps: np.ndarray) -> np.ndarray:
+    """Share (...,) of steps (..., n) that changes no number by more than `LONGEST`."""
+    return np.minimum(1.0, LONGEST / np.maximum(np.abs(steps).max(axis=-1, initial=0.0), LONGEST / 2))
 
 
 def damped_step(
@@ -221,7 +224,7 @@ def _advanced(state: _State, trial: np.ndarray, linear: Linearised, mixing: np.n
     gain = np.where(meant, (state.phi - phi) / np.where(meant, state.promise, 1.0), 1.0)
     eased = state.damping * np.maximum(1 / 9, 1 - (2 * np.clip(gain, 0, 1) - 1) ** 3)
     damping = np.where(better, eased, np.maximum(state.damping, 1e-3) * state.growth)
-    root = roots_of_weights(residual, dof)
+    root = np.sqrt(weights_of(residual, dof))
     rows = np.concatenate([root[..., None] * (slopes @ mixing), (root * residual)[..., None]], axis=-1)
     rows = compress_rows(rows)
     weighted = rows[..., -1], rows[..., :-1]
@@ -229,7 +232,7 @@ def _advanced(state: _State, trial: np.ndarray, linear: Linearised, mixing: np.n
     _, away = damped_step(z, *weighted, np.zeros_like(damping))
     stretch = np.where(better & state.as_it_is, _stretch(step, state.plain), 1.0)
     longer = stretch[:, None] * step
-    limit = np.minimum(1.0, LONGEST / np.maximum(np.abs(longer).max(axis=-1), LONGEST / 2))
+    limit = share_of(longer)
     part = limit * stretch
     promise = part * length**2 - part**2 * (length**2 - damping * (step**2).sum(axis=-1)) / 2
     missed = ~better | (gain < 0.25)

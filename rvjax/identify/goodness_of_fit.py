@@ -88,15 +88,13 @@ class Components:
         nuisances = np.rint((self.nuisances**2).sum(axis=(-2, -1))).astype(int)
         return np.maximum(self.seen.sum(axis=-1) - nuisances - prior, 0), prior
 
-    def sums(self, data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """chi2_model and chi2_prior of data d (..., m)."""
-        return self._sums(data, 0.0)
+    def sums(self, data: np.ndarray, moved: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """chi2_model and chi2_prior.
 
-    def simulated(self, noise: np.ndarray, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Simulated sums of one unit: whitened noise (s, m), standard numbers of the parts (s, k)."""
-        return self._sums(noise * self.seen, parts[:, : self.eigenvalues.size] * np.sqrt(self.eigenvalues))
-
-    def _sums(self, data: np.ndarray, moved: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+        Args:
+            data: d (..., m).
+            moved: what parts add along the left vectors where d is noise alone (..., k).
+        """
         data = data - _along(self.nuisances, data)
         along = _dot(self.left, data)
         rest = ((data - _back(self.left, along)) ** 2).sum(axis=-1)
@@ -127,16 +125,16 @@ def _along(columns: np.ndarray, vectors: np.ndarray) -> np.ndarray:
 
 
 def goodness(
-    slopes: np.ndarray, mixing: np.ndarray, nuisance: np.ndarray, data: np.ndarray, seen: np.ndarray, dof: float
+    slopes: np.ndarray, mixing: np.ndarray, nuisance: np.ndarray, data: np.ndarray, seen: np.ndarray, dof: float | None
 ) -> dict[str, np.ndarray]:
     """Compute the statistics of `Fit` for units with linearised data d (..., m)."""
-    if np.isinf(dof):  # normal noise stays what it is when rows are turned
+    if dof is None:  # normal noise stays what it is when rows are turned
         rows = compress_rows(np.concatenate([slopes, data[..., None]], axis=-1))
         slopes, data = rows[..., :-1], rows[..., -1]
     components = Components.of(slopes, mixing, nuisance, seen)
     model, prior = components.sums(data)
     dof_model, dof_prior = components.dof
-    if np.isinf(dof):
+    if dof is None:
         p_model, p_prior, p_total = (
             _chance(*pair) for pair in ((model, dof_model), (prior, dof_prior), (model + prior, dof_model + dof_prior))
         )
@@ -162,7 +160,7 @@ def _simulated_chances(components: Components, model: np.ndarray, prior: np.ndar
     chances = np.empty((3, *lead))
     for unit in np.ndindex(lead):
         one = Components(*(getattr(components, f.name)[unit] for f in dataclasses.fields(components)))
-        sums = one.simulated(noise, parts)
+        sums = one.sums(noise * one.seen, parts * np.sqrt(one.eigenvalues))
         for k, (simulated, own) in enumerate(
             [(sums[0], model[unit]), (sums[1], prior[unit]), (sums[0] + sums[1], model[unit] + prior[unit])]
         ):
@@ -175,11 +173,6 @@ def largest(residual: np.ndarray, names: list[str]) -> tuple[str, ...]:
     """Names of the largest residuals (m,), largest first."""
     order = np.argsort(-np.abs(residual), kind="stable")[:WORST]
     return tuple(names[i] for i in order if residual[i] != 0)
-
-
-def weights_of(residual: np.ndarray, seen: np.ndarray, dof: float) -> np.ndarray:
-    """(dof + 1)/(dof + r^2) of whitened residuals, 1 for normal noise, 0 where missing."""
-    return seen * (np.ones_like(residual) if np.isinf(dof) else (dof + 1) / (dof + residual**2))
 
 
 MOST_PARETO = 0.7

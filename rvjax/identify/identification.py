@@ -5,7 +5,7 @@ import math
 import operator
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -41,7 +41,7 @@ class Problem:
         elements: of the prior.
         layout: of the observation.
         sd: noise of each real number (m,), unit of the observation.
-        dof: of Student noise; inf is normal.
+        dof: of Student noise; None is normal noise.
         nuisance: places of elements that are not of interest.
     """
 
@@ -49,7 +49,7 @@ class Problem:
     elements: Elements
     layout: Layout
     sd: np.ndarray
-    dof: float
+    dof: float | None
     nuisance: np.ndarray
 
     @classmethod
@@ -72,17 +72,18 @@ class Problem:
         elements = Elements.of(prior, correlation)
         layout = _layout(model, elements)
         places = elements.places("nuisance", nuisance)
-        return cls(model, elements, layout, layout.sd(noise.sd), float(noise.dof), places)
+        dof = None if math.isinf(noise.dof) else float(noise.dof)
+        return cls(model, elements, layout, layout.sd(noise.sd), dof, places)
 
     @property
     def discount(self) -> float:
         """Expected information of Student noise over the information of normal noise, (dof + 1)/(dof + 3)."""
-        return 1.0 if math.isinf(self.dof) else (self.dof + 1) / (self.dof + 3)
+        return 1.0 if self.dof is None else (self.dof + 1) / (self.dof + 3)
 
     @cached_property
     def device(self) -> "Given":
         """Prior and noise as the programs take them."""
-        dof = None if math.isinf(self.dof) else jnp.asarray(self.dof)
+        dof = None if self.dof is None else jnp.asarray(self.dof)
         return Given(self.elements.population, jnp.asarray(self.elements.mixing), jnp.asarray(self.sd), dof)
 
     def evaluate(
@@ -159,51 +160,52 @@ def _layout(model: Model, elements: Elements) -> Layout:
     return known[key]
 
 
-def residuals(model: Model, given: Given, y: jax.Array, u: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
-    """Whitened residuals (f - y)/sd (m,), 0 where y is NaN; the observation f, and the norm of what is subtracted."""
+def residuals(model: Model, given: Given, y: jax.Array, u: jax.Array) -> jax.Array:
+    """Whitened residuals (f - y)/sd (m,) of the observation f, 0 where y is NaN."""
     seen, observation = ~jnp.isnan(y), flatten(model(values_of(given.population, u))).astype(y.dtype)
     values, y = (jnp.where(seen, item, 0) / given.sd for item in (observation, y))
-    return values - y, (observation, jnp.linalg.norm(jnp.abs(values) + jnp.abs(y)))
+    return values - y
 
 
-Residual = Callable[[jax.Array], tuple[jax.Array, PyTree]]  # value, and what else it gives
+Vector = Callable[[jax.Array], jax.Array]
 
 
-def slopes(function: Residual, u: jax.Array, size: int) -> tuple[jax.Array, jax.Array, PyTree]:
-    """Value (m,), Jacobian (m, p) and what else a function gives, by the cheaper of forward and reverse mode.
+def slopes(function: Vector, u: jax.Array, size: int) -> tuple[jax.Array, jax.Array]:
+    """Value (m,) and Jacobian (m, p) of a function, by the cheaper of forward and reverse mode.
 
     A tangent costs about half of a cotangent. If a model supports only one of the two, that one is used.
     """
-    ways = [_forward, _reverse] if u.shape[0] <= 2 * size else [_reverse, _forward]
+    ways = [forward, _reverse] if u.shape[0] <= 2 * size else [_reverse, forward]
     try:
         return ways[0](function, u)
     except (TypeError, ValueError, NotImplementedError):
         return ways[1](function, u)
 
 
-def _forward(function: Residual, u: jax.Array) -> tuple[jax.Array, jax.Array, object]:
-    push: Callable[[jax.Array], Any] = lambda tangent: jax.jvp(function, (u,), (tangent,), has_aux=True)  # noqa: E731
-    value, jacobian, aux = jax.vmap(push, out_axes=(None, -1, None))(jnp.eye(u.shape[0], dtype=u.dtype))
-    return value, jacobian, aux
+def forward(function: Vector, u: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Value (m,) and Jacobian (m, p) of a function by tangents.
 
-
-def _reverse(function: Residual, u: jax.Array) -> tuple[jax.Array, jax.Array, object]:
-    value, pull, aux = jax.vjp(function, u, has_aux=True)
-    return value, jax.vmap(lambda cotangent: pull(cotangent)[0])(jnp.eye(value.shape[0], dtype=value.dtype)), aux
-
-
-class Split(Protocol):
-    """A model whose observation is the mean over parts of one structure, which one program evaluates.
-
-    Its slopes cost little more than its values.
+    Args:
+        function: of u.
+        u: where (p,).
     """
+    push: Callable[[jax.Array], tuple[jax.Array, jax.Array]] = lambda tangent: jax.jvp(function, (u,), (tangent,))  # noqa: E731
+    value, jacobian = jax.vmap(push, out_axes=(None, -1))(jnp.eye(u.shape[0], dtype=u.dtype))
+    return value, jacobian
 
-    def split(self) -> tuple[Any, list[dict[str, Any]]]:
-        """The model of a part, a record, and which of its fields each part has; the first one is like all of them."""
+
+def _reverse(function: Vector, u: jax.Array) -> tuple[jax.Array, jax.Array]:
+    value, pull = jax.vjp(function, u)
+    return value, jax.vmap(lambda cotangent: pull(cotangent)[0])(jnp.eye(value.shape[0], dtype=value.dtype))
 
 
 def parts_of(model: Model) -> tuple[Model, list[dict[str, Any]]]:
-    """The model of a part and the fields of every part, as in `Split`; another model is its only part."""
+    """The model of a part and the fields of every part; most models are their only part.
+
+    A model with a method `split` is the mean over parts of one structure, which one program evaluates. `split` returns
+    the model of a part, a record, and which of its fields each part has; the first part is like all of them. Slopes of
+    such a model cost little more than its values.
+    """
     split: Callable[[], tuple[Model, list[dict[str, Any]]]] | None = getattr(model, "split", None)
     return split() if split else (model, [{}])
 
@@ -235,11 +237,11 @@ def linearise(
     def one(fields: dict[str, jax.Array], x: jax.Array, plain: jax.Array) -> tuple[jax.Array, jax.Array]:
         here: Any = model.replace(**fields) if fields else model  # type: ignore[attr-defined]
 
-        def seen(x: jax.Array) -> tuple[jax.Array, None]:
+        def seen(x: jax.Array) -> jax.Array:
             values = jnp.where(plain, x, elementwise(population, jnp.where(plain, 0, x)))
-            return flatten(here(population.fill(population.by_field(values)))), None
+            return flatten(here(population.fill(population.by_field(values))))
 
-        return slopes(seen, x, size)[:2]
+        return slopes(seen, x, size)
 
     return jax.vmap(one)(fields, x, plain)
 
@@ -249,8 +251,7 @@ def densities(model: Model, given: Given, y: jax.Array, z: jax.Array) -> jax.Arr
     """Phi (k,) at points z (k, n) for one unit y (m,); inf where the model is not finite."""
 
     def phi(z: jax.Array) -> jax.Array:
-        residual, _ = residuals(model, given, y, mixed(given.mixing, z))
-        value = jnp.sum(z**2) / 2 + half_square(residual, given.dof)
+        value = jnp.sum(z**2) / 2 + half_square(residuals(model, given, y, mixed(given.mixing, z)), given.dof)
         return jnp.where(jnp.isfinite(value), value, jnp.inf)
 
     return jax.lax.map(phi, z, batch_size=DENSITIES)

@@ -100,7 +100,8 @@ class Layout:
     def names(self) -> list[str]:
         """A name for each real number, such as "te[3].imag"."""
         names = []
-        for name, shape, pairs in zip(self._leaf_names(), self.shapes, self.complex):
+        for path, shape, pairs in zip(self.paths, self.shapes, self.complex):
+            name = jax.tree_util.keystr(path, simple=True, separator=".") or "data"
             for index in np.ndindex(shape):
                 place = name + (f"[{','.join(map(str, index))}]" if shape else "")
                 names += [f"{place}.real", f"{place}.imag"] if pairs else [place]
@@ -171,18 +172,11 @@ class Layout:
 
     def tree(self, vector: np.ndarray) -> PyTree:
         """Return the observation of a vector (..., m), leaves (..., *shape)."""
-        leaves = []
-        for shape, pairs, part in zip(self.shapes, self.complex, self._split(vector)):
+        leaves, parts = [], np.split(vector, np.cumsum(self.sizes)[:-1], axis=-1)
+        for shape, pairs, part in zip(self.shapes, self.complex, parts):
             part = part.reshape((*vector.shape[:-1], *shape, *([2] if pairs else [])))
             leaves.append(part[..., 0] + 1j * part[..., 1] if pairs else part)
         return self.treedef.unflatten([leaf if leaf.ndim else leaf[()] for leaf in leaves])
-
-    def _split(self, vector: np.ndarray) -> list[np.ndarray]:
-        return np.split(vector, np.cumsum(self.sizes)[:-1], axis=-1)
-
-    def _leaf_names(self) -> list[str]:
-        named = (jax.tree_util.keystr(path, simple=True, separator=".") for path in self.paths)
-        return [name or "data" for name in named]
 
     def _match(self, argument: str, tree: object) -> Iterator[tuple[str, tuple[int, ...], bool, object]]:
         """Yield name, shape and kind of each leaf of the observation with the same leaf of `tree`."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from rvjax._jax.checks import checked
 from rvjax._jax.sizes import SETS
-from rvjax.identify.elements import Identifiability, Spectrum, findings, mapped_values
+from rvjax.identify.elements import Identifiability, Spectrum, compress_rows, findings, mapped_values
 from rvjax.identify.identification import Model, Problem, counted, program_of
 from rvjax.identify.observation import Noise
 from rvjax.identify.posterior import Posterior
@@ -220,7 +220,7 @@ class _Gain:
         mixing = elements.mixing @ root
         raw = zip(problems, _slopes(problems, u))
         slopes = [np.sqrt(each.discount) / each.sd[:, None] * slope @ mixing for each, slope in raw]
-        factors = [np.linalg.qr(item, mode="r") if len(item) > item.shape[1] else item for item in slopes]
+        factors = [compress_rows(item) for item in slopes]
         rows = max(len(item) for item in factors)
         stacked = np.stack([np.pad(item, ((0, rows - len(item)), (0, 0))) for item in factors])
         own = np.array([name == already for name in candidates])

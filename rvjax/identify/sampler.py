@@ -7,8 +7,6 @@ different modes disagree; r_hat shows it.
 
 import dataclasses
 import importlib
-from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +17,7 @@ from rvjax._jax.checks import checked
 from rvjax.base import frames
 from rvjax.identify.elements import mapped_values
 from rvjax.identify.gauss_newton import half_square, mixed
-from rvjax.identify.identification import Given, Model, Residual, counted, residuals
+from rvjax.identify.identification import Given, Model, Vector, counted, forward, residuals
 from rvjax.identify.posterior import Posterior
 from rvjax.identify.search import FAINT
 from rvjax.population import root_key
@@ -138,10 +136,7 @@ def run(
     """v (chains, draws, n) and which of them diverged (chains, draws)."""
     import blackjax
 
-    def apart(z: jax.Array) -> tuple[jax.Array, object]:
-        return residuals(model, given, y, mixed(given.mixing, z))
-
-    density = _density(apart, given.dof, centre.shape[0])
+    density = _density(lambda z: residuals(model, given, y, mixed(given.mixing, z)), given.dof)
 
     def logarithm(v: jax.Array) -> jax.Array:
         return density(centre + root @ v)
@@ -162,20 +157,11 @@ def run(
     return jax.vmap(chain)(keys, starts)
 
 
-def _density(apart: Residual, dof: jax.Array | None, size: int) -> Callable[[jax.Array], jax.Array]:
+def _density(apart: Vector, dof: jax.Array | None) -> Vector:
     """Logarithm of the posterior's density over z, differentiable also where the model supports only tangents."""
 
     def phi(residual: jax.Array) -> jax.Array:
         return -half_square(residual, dof)
-
-    def reverse(z: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return jax.value_and_grad(lambda z: phi(apart(z)[0]))(z)
-
-    def forward(z: jax.Array) -> tuple[jax.Array, jax.Array]:
-        push: Callable[[jax.Array], Any] = lambda tangent: jax.jvp(lambda z: apart(z)[0], (z,), (tangent,))  # noqa: E731
-        residual, slopes = jax.vmap(push, out_axes=(None, -1))(jnp.eye(size, dtype=z.dtype))
-        value, pull = jax.value_and_grad(phi)(residual)
-        return value, pull @ slopes
 
     @jax.custom_vjp
     def density(z: jax.Array) -> jax.Array:
@@ -183,9 +169,11 @@ def _density(apart: Residual, dof: jax.Array | None, size: int) -> Callable[[jax
 
     def both(z: jax.Array) -> tuple[jax.Array, jax.Array]:
         try:
-            value, slope = reverse(z)
+            value, slope = jax.value_and_grad(lambda z: phi(apart(z)))(z)
         except (TypeError, ValueError, NotImplementedError):
-            value, slope = forward(z)
+            residual, slopes = forward(apart, z)
+            value, pull = jax.value_and_grad(phi)(residual)
+            slope = pull @ slopes
         sound = jnp.isfinite(value) & jnp.all(jnp.isfinite(slope))
         return jnp.where(sound, value - jnp.sum(z**2) / 2, -jnp.inf), jnp.where(sound, slope - z, 0.0)
 

@@ -1,7 +1,8 @@
 """Modes of the posterior of one unit. Starts: the mid-point of the prior, and units sampled from it."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy import special
@@ -52,7 +53,7 @@ def evidence_of(
 ) -> np.ndarray:
     """Logarithm of the density of data (..., m) by Laplace's method, at modes z (..., n)."""
     dof = problem.dof
-    if np.isinf(dof):
+    if dof is None:
         each = -(residual**2) / 2 - np.log(2 * np.pi) / 2
     else:
         constant = special.gammaln((dof + 1) / 2) - special.gammaln(dof / 2) - np.log(dof * np.pi) / 2
@@ -99,8 +100,7 @@ def follow(
     def linearise(live: np.ndarray, u: np.ndarray) -> Linearised:
         return problem.linearise(y[live], u, part=part, together=together)
 
-    dof = None if np.isinf(problem.dof) else problem.dof
-    return modes(linearise, problem.layout.size, problem.elements.mixing, starts, dof, max_steps)
+    return modes(linearise, problem.layout.size, problem.elements.mixing, starts, problem.dof, max_steps)
 
 
 def _begun(problem: Problem, y: np.ndarray, points: np.ndarray, max_steps: int) -> np.ndarray:
@@ -111,7 +111,7 @@ def _begun(problem: Problem, y: np.ndarray, points: np.ndarray, max_steps: int) 
     ended: list[Peak] = []
     for lane in np.argsort(ends.phi):
         if ended_near(ends.info)[lane]:
-            peak = peak_of(problem, y, *(item[lane] for item in ends[:5]))
+            peak = peak_of(problem, y, ends, (lane,))
             if len(ended) < LOWEST or not any(_near(peak, other, APART) for other in ended):
                 ended.append(peak)
     return np.stack([peak.z for peak in ended]) if ended else points
@@ -121,7 +121,7 @@ def _searched(
     problem: Problem, y: np.ndarray, points: np.ndarray, max_steps: int, draws: int
 ) -> tuple[tuple[Peak, ...], SolveInfo]:
     pending = list(points)
-    ended: list[Any] = []
+    ended: list[Mode] = []
     peaks: list[Peak] = []
     saddles: list[Peak] = []
     while pending and len(ended) < ROUNDS:
@@ -131,7 +131,7 @@ def _searched(
         for lane in np.argsort(ends.phi):
             if not ended_near(ends.info)[lane]:
                 continue
-            peak = peak_of(problem, y, *(item[lane] for item in ends[:5]))
+            peak = peak_of(problem, y, ends, (lane,))
             if any(_near(peak, other, APART) for other in peaks) or any(_near(peak, s, SAME) for s in saddles):
                 continue
             bent = bool(ends.info.status[lane] != Status.CONVERGED)
@@ -149,28 +149,20 @@ def ended_near(info: SolveInfo) -> np.ndarray:
     return (status == Status.CONVERGED) | ((status == Status.MAX_STEPS) & (away <= NEAR))
 
 
-def _final_info(ended: list[Any], solved: bool) -> SolveInfo:
+def _final_info(ended: list[Mode], solved: bool) -> SolveInfo:
     """Return the status of the solver at the lowest usable point."""
-    phi = np.concatenate([item.phi for item in ended])
-    status = np.concatenate([item.info.status for item in ended])
+    every: Mode = jax.tree.map(lambda *items: np.concatenate(items), *ended)
+    phi, status = every.phi, every.info.status
     usable = status == Status.CONVERGED if solved else np.isfinite(phi)
     lane = int(np.argmin(np.where(usable, phi, np.inf)))
-    steps, residual = (np.concatenate([getattr(item.info, name) for item in ended]) for name in ("steps", "residual"))
     # Saddles alone are no mode: the steps ended, but not at one.
     named = status[lane] if solved or status[lane] != Status.CONVERGED else np.int32(Status.MAX_STEPS)
-    return SolveInfo(jnp.int32(named), steps[lane], residual[lane])
+    return SolveInfo(jnp.int32(named), every.info.steps[lane], every.info.residual[lane])
 
 
-def peak_of(
-    problem: Problem,
-    y: np.ndarray,
-    z: np.ndarray,
-    residual: np.ndarray,
-    slopes: np.ndarray,
-    observation: np.ndarray,
-    phi: np.ndarray,
-) -> Peak:
-    """Return the maximum of which the steps found z, residuals, slopes over u, observation and Phi."""
+def peak_of(problem: Problem, y: np.ndarray, ends: Mode, lane: tuple[int, ...]) -> Peak:
+    """Return the maximum of one unit y (m,) at which the steps from a start, a place in `ends`, ended."""
+    z, residual, slopes, observation, phi = (item[lane] for item in ends[:5])
     spectrum = Spectrum.of(np.sqrt(problem.discount) * slopes @ problem.elements.mixing)
     evidence = evidence_of(problem, z, residual, spectrum.nats, ~np.isnan(y))
     return Peak(z, residual, slopes, observation, float(phi), spectrum, float(evidence))
@@ -243,6 +235,5 @@ def phi_at(problem: Problem, y: np.ndarray, points: np.ndarray, draws: int) -> n
 
 
 def _phi(problem: Problem, y: np.ndarray, points: np.ndarray, observation: np.ndarray) -> np.ndarray:
-    dof = None if np.isinf(problem.dof) else problem.dof
-    phi = (points**2).sum(axis=-1) / 2 + half_square(problem.whitened(observation, y)[0], dof)
+    phi = (points**2).sum(axis=-1) / 2 + half_square(problem.whitened(observation, y)[0], problem.dof)
     return np.where(np.isfinite(phi), phi, np.inf)

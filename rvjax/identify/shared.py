@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rvjax.identify.elements import Elements, compress_rows
-from rvjax.identify.gauss_newton import LONGEST, ROUNDINGS, TOLERANCE, half_square, roots_of_weights
+from rvjax.identify.gauss_newton import ROUNDINGS, TOLERANCE, half_square, share_of, weights_of
 from rvjax.identify.identification import Problem
 from rvjax.status import Status
 
@@ -67,11 +67,13 @@ def linear_rows(problem: Problem, slopes: np.ndarray, u: np.ndarray, residual: n
     """Slopes (..., m, p) and linearised data J u - r (..., m, p + 1); of normal noise turned into fewer rows."""
     datum = (slopes @ u[..., None])[..., 0] - residual
     rows = np.concatenate([slopes, datum[..., None]], axis=-1)
-    return compress_rows(rows) if np.isinf(problem.dof) else rows
+    return compress_rows(rows) if problem.dof is None else rows
 
 
 def triangular(rows: np.ndarray) -> np.ndarray:
-    """Return the factor R of rows (..., m, n), at least n of them."""
+    """Return the factor R (units, n, n) of rows (units, m, n); fewer than n rows are completed by zeros."""
+    if (missing := rows.shape[2] - rows.shape[1]) > 0:
+        rows = np.pad(rows, ((0, 0), (0, missing), (0, 0)))
     return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
@@ -96,18 +98,13 @@ def _step(factors: np.ndarray, z: np.ndarray, w: np.ndarray, damping: np.ndarray
     triangle = triangular(np.concatenate([factors, prior], axis=1))
     upper, across, right = triangle[:, :no, :no], triangle[:, :no, no:-1], triangle[:, :no, -1]
     common = np.concatenate([root * np.eye(ns), -(w / root)[:, None]], axis=1)
-    rest = triangular(np.concatenate([triangle[:, no:, no:].reshape(-1, ns + 1), common]))
+    (rest,) = triangular(np.concatenate([triangle[:, no:, no:].reshape(-1, ns + 1), common])[None])
     shared, below = rest[:ns, :ns], rest[:ns, -1]
-    dw = _limit(np.linalg.solve(shared, below)[None])[0]
-    dz = _limit(np.linalg.solve(upper, (right - across @ dw)[..., None])[..., 0])
+    dw = np.linalg.solve(shared, below)
+    dw = share_of(dw) * dw
+    dz = np.linalg.solve(upper, (right - across @ dw)[..., None])[..., 0]
+    dz = share_of(dz)[:, None] * dz
     return _Step(dz, dw, float(np.sqrt((right**2).sum() + below @ below)), upper, across, shared)
-
-
-def _limit(steps: np.ndarray) -> np.ndarray:
-    """Steps (units, n) none of whose numbers exceeds `LONGEST`."""
-    if not steps.size:
-        return steps
-    return steps * np.minimum(1.0, LONGEST / np.maximum(np.abs(steps).max(axis=1, keepdims=True), LONGEST / 2))
 
 
 class Joint:
@@ -130,17 +127,16 @@ class Joint:
             Triangular factors (k, n + 1, n + 1) of the weighted rows [J, -r] with the columns in this order, what the
             data add to Phi (k,), residuals, slopes over u, and the size of the numbers behind them.
         """
-        own, dof = z[part], None if np.isinf(self.problem.dof) else self.problem.dof
+        own, dof = z[part], self.problem.dof
         numbers = np.empty((len(own), self.mixing.shape[1]))
         numbers[:, self.split.own_columns] = own
         numbers[:, self.split.shared_columns] = w
         together = self.rows[0].stop
         residual, slopes, _, size = self.problem.linearise(self.y[part], numbers @ self.mixing.T, together=together)
         rows = np.concatenate([slopes @ self.mixing[:, self.order], -residual[..., None]], axis=-1)
-        rows = roots_of_weights(residual, dof)[..., None] * rows
+        rows = np.sqrt(weights_of(residual, dof))[..., None] * rows
         fine = np.isfinite(rows).all(axis=(1, 2), keepdims=True)
-        padded = np.pad(np.where(fine, rows, 0.0), ((0, 0), (0, max(rows.shape[2] - rows.shape[1], 0)), (0, 0)))
-        factors = np.where(fine, triangular(padded), np.nan)
+        factors = np.where(fine, triangular(np.where(fine, rows, 0.0)), np.nan)
         return [factors, half_square(residual, dof), residual, slopes, size]
 
     def all(self, z: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -197,7 +193,7 @@ class Joint:
 
     def finish(self) -> None:
         """The covariances at the mode."""
-        factors = self.all(self.z, self.w)[0] if np.isinf(self.problem.dof) else self._expected_factors()
+        factors = self.all(self.z, self.w)[0] if self.problem.dof is None else self._expected_factors()
         step = _step(np.where(self.active[:, None, None], factors, 0.0), self.z, self.w, np.zeros(len(self.y) + 1))
         own, common = self.split.own, self.split.shared
         of_own = self.mixing[np.ix_(own, self.split.own_columns)]

@@ -10,16 +10,8 @@ from scipy import special
 
 from rvjax._jax.checks import checked
 from rvjax.identify.elements import findings, mapped_values
-from rvjax.identify.goodness_of_fit import (
-    ADEQUATE,
-    LEAST_DRAWS,
-    Fit,
-    Laplace,
-    goodness,
-    largest,
-    reliability,
-    weights_of,
-)
+from rvjax.identify.gauss_newton import weights_of
+from rvjax.identify.goodness_of_fit import ADEQUATE, LEAST_DRAWS, Fit, Laplace, goodness, largest, reliability
 from rvjax.identify.identification import Model, Problem, counted, integer
 from rvjax.identify.observation import Noise
 from rvjax.identify.posterior import Mode, Outcome, Posterior, broken, limits_of, outcome, shares
@@ -170,7 +162,7 @@ def _goodness(problem: Problem, y: np.ndarray, residual: np.ndarray, slopes: np.
     numbers = goodness(slopes, mixing, problem.nuisance, slopes @ u - residual, seen, problem.dof)
     return Fit(
         **{name: number.item() for name, number in numbers.items()},
-        weights=weights_of(residual, seen, problem.dof),
+        weights=seen * weights_of(residual, problem.dof),
         worst=largest(residual, problem.layout.names),
     )
 

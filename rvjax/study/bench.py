@@ -102,7 +102,7 @@ class Curves(Record):
         return seen
 
     def split(self) -> tuple["Curves", list[dict[str, PyTree]]]:
-        """The curves over a part of the angles, and the fields of each part: `rvjax.identify.identification.Split`."""
+        """The curves over a part of the angles, and the fields of each part: `identify.identification.parts_of`."""
         given = {name: getattr(self, name) for name in ("torques", "reading", "speeds", "least")}
         fields = {name: value for name, value in given.items() if value is not None}
         divide = self.observation.parts
