@@ -37,8 +37,12 @@ def kinds_of(seed, counts=(5, 6, 7), **options):
 few = partial(plan, most_valued=1)
 """Any number of combinations counts as too many."""
 
-fewer = partial(few, pilots=12)
-"""As few combinations as possible are evaluated to fit the estimates."""
+
+def fewer(*given, **options):
+    """As few combinations as possible are evaluated to fit the estimates."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(on_demand, "PILOTS", 12)
+        return few(*given, **options)
 
 
 @pytest.mark.parametrize("objective", ["mean", "bottleneck", "yield"])

@@ -109,7 +109,13 @@ def belief(value: np.ndarray, sd: np.ndarray, tolerance: Tolerance | None) -> Be
 
 
 @jax.jit
-def _quantile(tolerance: Tolerance, z: jax.Array) -> jax.Array:
+def deviates(tolerance: Tolerance, z: jax.Array) -> jax.Array:
+    """Errors of a tolerance at standard normal numbers.
+
+    Args:
+        tolerance: distribution of the error.
+        z: any shape.
+    """
     return tolerance.deviate(z)
 
 
@@ -120,7 +126,7 @@ def _on_nodes(tolerance: Tolerance, value: np.ndarray, sd: np.ndarray) -> Belief
     steps = np.linspace(0.0, 1.0, NODES)[:, None]
     for _ in range(_ROUNDS):
         z = low + (high - low) * steps
-        nodes = np.asarray(_quantile(tolerance, jnp.asarray(z)), float)
+        nodes = np.asarray(deviates(tolerance, jnp.asarray(z)), float)
         depth = -(z**2) / 2 - ((y - nodes) / s) ** 2 / 2
         depth -= depth.max(axis=0)
         kept = depth > -_DEPTH

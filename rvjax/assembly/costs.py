@@ -24,13 +24,13 @@ MOST = 2**24
 """Combinations whose costs are kept side by side: beyond, sort some slot first."""
 
 
-@per_response(static=("counts", "at"))
+@per_response(static=("shapes", "counts", "at"))
 def respond(
     response: UnitResponse,
     leaves: Mapping[str, Sequence[jax.Array]],
     index: Mapping[str, jax.Array],
-    structures: "Structures",
     *,
+    shapes: tuple["Shape", ...],
     counts: tuple[int, ...],
     at: tuple[int, ...] | None = None,
 ) -> jax.Array:
@@ -40,17 +40,16 @@ def respond(
         response: (parts {slot: errors}, index {slot: int}) -> scalar or Outcome.
         leaves: moving errors of each slot (batch, *shape).
         index: angular positions of each slot (batch,).
-        structures: of the errors of each slot.
+        shapes: of the errors of each slot.
         counts: angular positions that each slot has.
         at: the same plain indices for all units, for a response that cannot take traced ones; None: those in `index`.
     """
 
     def one(leaves: Mapping[str, Sequence[jax.Array]], index: Mapping[str, jax.Array]) -> jax.Array:
-        parts = {slot: known.assembled(leaves[slot]) for slot, known in structures.of.items()}
-        if at is not None:
-            turned: dict[str, PyTree] = dict(zip(structures.of, at))
-        else:
-            turned = {s: _weak(index[s], count) for s, count in zip(structures.of, counts)}
+        parts = {shape.slot: shape.assembled(leaves[shape.slot]) for shape in shapes}
+        turned: dict[str, PyTree] = dict(zip(parts, at or ()))
+        if at is None:
+            turned = {slot: _weak(index[slot], count) for slot, count in zip(parts, counts)}
         values, status = evaluate(lambda _: response(parts, turned), None)
         if len(values) != 1:
             raise ValueError(f"response: must be one number, it has {', '.join(values)}")
@@ -65,11 +64,11 @@ def _weak(index: jax.Array, count: int) -> Scalar:
     return sum(jnp.where(index == k, k, 0) for k in range(1, count)) if count > 1 else 0
 
 
-@jax.tree_util.register_static
 @dataclasses.dataclass(frozen=True)
 class Shape:
-    """Structure of the errors of one part, without numbers."""
+    """Structure of the errors of the parts in a slot, without numbers; part of the program's key."""
 
+    slot: str
     structure: PyTree
     still: frozenset[int]
 
@@ -78,19 +77,6 @@ class Shape:
         moving = iter(leaves)
         count = len(leaves) + len(self.still)
         return self.structure.unflatten([0.0 if k in self.still else next(moving) for k in range(count)])
-
-
-@jax.tree_util.register_static
-@dataclasses.dataclass(frozen=True)
-class Structures:
-    """Shapes of all slots, in order; hashable, part of the program's key."""
-
-    pairs: tuple[tuple[str, Shape], ...]
-
-    @property
-    def of(self) -> dict[str, Shape]:
-        """Return the shapes of all slots."""
-        return dict(self.pairs)
 
 
 class Machine:
@@ -109,7 +95,7 @@ class Machine:
         if math.prod(self.shape) > MOST:
             shown = " x ".join(map(str, self.shape))
             raise ValueError(f"kinds: {shown} combinations are more than {MOST}; plan fewer slots at once")
-        self._structures = Structures(tuple((s, Shape(k.structure, k.still)) for s, k in slots.items()))
+        self._shapes = tuple(Shape(slot, known.structure, known.still) for slot, known in slots.items())
         self._traced: bool | None = None
 
     def values(
@@ -136,7 +122,7 @@ class Machine:
         by_slot = {slot: index[:, k] for k, slot in enumerate(self.slots)}
 
         def run(at: tuple[int, ...] | None) -> np.ndarray:
-            return np.asarray(respond(self.response, leaves, by_slot, self._structures, counts=self.counts, at=at))
+            return np.asarray(respond(self.response, leaves, by_slot, shapes=self._shapes, counts=self.counts, at=at))
 
         if len(self.indices) == 1:
             return run(tuple(0 for _ in self.counts))

@@ -41,15 +41,10 @@ class Screen:
     checks: int
 
 
-def pilot_count(drawn: Mapping[str, list[np.ndarray]], least: int = PILOTS) -> int:
-    """Exact combinations that a screen requires.
-
-    Args:
-        drawn: errors of each slot.
-        least: least count.
-    """
+def pilot_count(drawn: Mapping[str, list[np.ndarray]]) -> int:
+    """Exact combinations that a screen requires, for the errors of each slot."""
     columns = sum(numbers.shape[1] for numbers in _numbers(drawn))
-    return max(least, PER_FEATURE * _features(np.zeros((1, columns))).shape[1] * 4 // 3)
+    return max(PILOTS, PER_FEATURE * _features(np.zeros((1, columns))).shape[1] * 4 // 3)
 
 
 def screen(
@@ -178,11 +173,10 @@ class OnDemand:
         draws: int,
         requirement: Requirement | None,
         by_yield: bool,
-        pilots: int = PILOTS,
     ) -> None:
-        """No combination is valued yet; arguments as of `costs`, and the least count of pilots."""
+        """No combination is valued yet; arguments as of `costs`."""
         self.machine, self._drawn, self.draws = machine, drawn, draws
-        self._requirement, self._by_yield, self._pilots = requirement, by_yield, pilots
+        self._requirement, self._by_yield = requirement, by_yield
         total = math.prod(machine.shape)
         self.known = np.zeros(total, bool)
         self.mean, self._outside, self._turn = np.zeros(total), np.zeros(total), np.zeros(total, np.int32)
@@ -202,7 +196,7 @@ class OnDemand:
             most: responses at most for the estimate.
         """
         possible = np.flatnonzero(supply.allowed())
-        count = min(pilot_count(self._drawn, self._pilots), len(possible))
+        count = min(pilot_count(self._drawn), len(possible))
         pilots = np.sort(rng.choice(possible, count, replace=False))
         mean = self._value(pilots)
         if count == len(possible):

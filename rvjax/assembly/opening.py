@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.checks import checked
-from rvjax.assembly.belief import draw, known
+from rvjax.assembly.belief import deviates, draw, known
 from rvjax.assembly.choice import chosen
 from rvjax.assembly.costs import Machine, UnitResponse, costs, good
 from rvjax.assembly.parts import Kind, Part, at_path
@@ -126,18 +126,13 @@ class _Virtual:
         seen: list[list[PyTree]] = [list(own) for own in self.given]
         for place, tolerance in self.moving.items():
             z, noise = self.z[place][number]
-            errors = np.moveaxis(np.asarray(_drawn(_widen(tolerance, factor), jnp.asarray(z)), float), -1, 0)
+            errors = np.moveaxis(np.asarray(deviates(_widen(tolerance, factor), jnp.asarray(z)), float), -1, 0)
             for k, error in enumerate(errors):
                 sd = np.where(np.isfinite(self.sd[k][place]), self.sd[k][place], 0.0)
                 truth[k][place], seen[k][place] = error, error + sd * noise[..., k]
         parts = [Part(p.id, self.structure.unflatten(own), p.sd) for p, own in zip(self.kind.parts, seen)]
         population = _widen(self.tolerances, factor)
         return Kind(parts, indices=self.kind.indices, stock=self.kind.stock, population=population), truth
-
-
-@jax.jit
-def _drawn(tolerance: Tolerance, z: jax.Array) -> jax.Array:
-    return tolerance.deviate(z)
 
 
 def _widen(tolerances: object, factor: float) -> object:

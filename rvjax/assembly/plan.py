@@ -11,7 +11,7 @@ from rvjax._jax.checks import checked
 from rvjax.assembly.belief import Known, draw, known
 from rvjax.assembly.choice import CLOSE, EXACT, chosen
 from rvjax.assembly.costs import Costs, Machine, UnitResponse, costs, good
-from rvjax.assembly.on_demand import MOST_VALUED, PILOTS, OnDemand, chosen_on_demand, too_many
+from rvjax.assembly.on_demand import MOST_VALUED, OnDemand, chosen_on_demand, too_many
 from rvjax.assembly.parts import Kind, UnusualPart, outliers
 from rvjax.assembly.supply import Build, Supply, best_so_far, supply_of
 from rvjax.base.words import choose
@@ -87,7 +87,6 @@ def plan(
     exact_up_to: int = EXACT,
     most_valued: int = MOST_VALUED,
     most_fresh: int = MOST_FRESH,
-    pilots: int = PILOTS,
     confidence: float = 0.95,
     keep_best: bool = False,
 ) -> Plan:
@@ -111,7 +110,6 @@ def plan(
         most_valued: responses at most, combinations x positions x draws, if all combinations are evaluated.
         most_fresh: responses at most to value the plan, and as many for random assembly; `certificate_draws` are fewer
             where the plan has many units.
-        pilots: combinations at least that are evaluated to fit and check the estimates, beyond `most_valued`.
         confidence: of the intervals.
         keep_best: an interruption (Ctrl-C) of the search ends it with the best plan so far.
 
@@ -119,18 +117,25 @@ def plan(
         ValueError: fewer than two slots, an unknown objective, "yield" without a requirement, counts below 1, parts
             that do not fit each other, or more than 2**24 combinations.
     """
-    most = dict(exact_up_to=exact_up_to, most_valued=most_valued, pilots=pilots)
     counts = dict(draws=draws, certificate_draws=certificate_draws, starts=starts, most_fresh=most_fresh)
-    _check(kinds, objective, requirement, confidence, **counts, **most)
+    _check(kinds, objective, requirement, confidence, exact_up_to=exact_up_to, most_valued=most_valued, **counts)
     by_kind = {id(kind): known(kind, slot) for slot, kind in kinds.items()}
     _warn(kinds)
     slots = {slot: by_kind[id(kind)] for slot, kind in kinds.items()}
     machine, supply = Machine(response, slots), supply_of(slots)
     certain = all(one.certain for one in slots.values())
     fresh = 1 if certain else min(certificate_draws, max(LEAST_FRESH, most_fresh // supply.units))
-    asked = 1 if certain else draws, requirement, objective == "yield"
+    draws = 1 if certain else draws
+    rng = np.random.default_rng([seed % 2**64, 2])
+    given = machine, draw(slots, seed, 0, draws, alike=True), draws, requirement, objective == "yield"
     with best_so_far(keep_best) as unsearched:
-        priced, build, bound, reached, proved = _choice(machine, supply, slots, objective, asked, starts, seed, **most)
+        if too_many(machine, draws, most_valued):
+            priced: Costs | OnDemand = OnDemand(*given)
+            best = chosen_on_demand(priced, supply, objective, starts, rng, most_valued)
+        else:
+            priced = costs(*given)
+            best = chosen(priced, supply, objective, starts, rng, exact_up_to)
+    build, bound, reached, proved = best
     if priced.level:  # nothing to choose by: in the given order
         build = as_they_lie(slots, supply)
     place, drawn = np.array(in_order(build, slots)), draw(slots, seed, 1, fresh, alike=False)
@@ -161,28 +166,6 @@ def plan(
         unsearched=sum(unsearched),
         checks=checks,
     )
-
-
-def _choice(
-    machine: Machine,
-    supply: Supply,
-    slots: Mapping[str, Known],
-    objective: str,
-    asked: tuple[int, Requirement | None, bool],
-    starts: int,
-    seed: int,
-    *,
-    exact_up_to: int,
-    most_valued: int,
-    pilots: int,
-) -> tuple[Costs | OnDemand, Build, float, float, bool]:
-    """Responses to choose by, the parts chosen, a bound, the objective reached, and whether it is proved."""
-    rng, drawn = np.random.default_rng([seed % 2**64, 2]), draw(slots, seed, 0, asked[0], alike=True)
-    if too_many(machine, asked[0], most_valued):
-        estimated = OnDemand(machine, drawn, *asked, pilots)
-        return estimated, *chosen_on_demand(estimated, supply, objective, starts, rng, most_valued)
-    priced = costs(machine, drawn, *asked)
-    return priced, *chosen(priced, supply, objective, starts, rng, exact_up_to)
 
 
 def _valued(

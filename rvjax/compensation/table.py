@@ -12,7 +12,7 @@ import json
 import math
 import re
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable, Collection, Hashable, Mapping
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -240,16 +240,17 @@ def _digits(number: float) -> str:
     return f"{float(number):.16e}"
 
 
-def _join(numbers: np.ndarray, between: str) -> str:
+def _join(numbers: Iterable[float], between: str) -> str:
     return between.join(_digits(number) for number in numbers)
 
 
+def _rows(table: Table, between: str) -> list[str]:
+    """A line for each angle with its correction."""
+    return [_join(pair, between) for pair in zip(table.angle, table.correction)]
+
+
 def _write_csv(table: Table, joint: Joint, seed: int | None) -> str:
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(COLUMNS)
-    rows.writerows(map(_digits, row) for row in zip(table.angle, table.correction))
-    return text.getvalue()
+    return "\n".join([",".join(COLUMNS), *_rows(table, ","), ""])
 
 
 def _read_csv(text: str) -> Parsed:
@@ -278,7 +279,7 @@ def _read_json(text: str) -> Parsed:
 
 
 def _write_modelica(table: Table, joint: Joint, seed: int | None) -> str:
-    rows = [f"{_digits(angle)} {_digits(value)}" for angle, value in zip(table.angle, table.correction)]
+    rows = _rows(table, " ")
     return "\n".join(["#1", f"double {table.name}({len(rows)},2)", *rows, ""])
 
 

@@ -8,9 +8,9 @@ from rvjax.measured.curve_analysis import (
     foreign as foreign,
     judge as judge,
 )
-from rvjax.measured.kinds import Loop, Tones, checked as checked
+from rvjax.measured.kinds import KINDS as KINDS, Kind as Kind, Loop, Tones, checked as checked
 from rvjax.measured.orders import Fitted as Fitted, fitted as fitted
-from rvjax.measured.read import KINDS as KINDS, Measured, read, read_table as read_table
-from rvjax.measured.run import DIRECTIONS as DIRECTIONS, Conditions, Finding as Finding, Kind as Kind, Run
+from rvjax.measured.read import Measured, read, read_table as read_table
+from rvjax.measured.run import DIRECTIONS as DIRECTIONS, Conditions, Finding as Finding, Run
 
 __all__ = ["Conditions", "Loop", "Measured", "Run", "Tones", "read"]

@@ -37,7 +37,6 @@ class Branches:
         midline: rad (n,).
         width: falling less rising branch, rad (n,).
         sd: of the midline, rad (n,); half of that of the width.
-        clipped: the torque sensor has hit its end.
         reads: cycles whose mean this is, the last one first.
         found: all cycles of the record.
         limits: torques between which the branches have parted, N m.
@@ -50,7 +49,6 @@ class Branches:
     midline: np.ndarray
     width: np.ndarray
     sd: np.ndarray
-    clipped: bool
     reads: tuple[Read, ...]
     found: Cycles
     limits: tuple[float, float]
@@ -147,9 +145,7 @@ def _compared(where: str, reads: list[Read], cycles: Cycles, torque: np.ndarray,
     used = tuple(reads[:count])
     midline, width, sd = _mean_of(used, np.array(rows[:count]))
     clipped = _clipped(last.cycle, torque, angle)
-    return Branches(
-        grid, midline, width, sd, bool(clipped), used, cycles, (low, high), reach, clipped, (0, len(torque))
-    )
+    return Branches(grid, midline, width, sd, used, cycles, (low, high), reach, clipped, (0, len(torque)))
 
 
 def _pair(read: Read, at: float, half: float) -> tuple[float, float, float, float, float]:

@@ -1,8 +1,13 @@
-"""Kinds of bench files: curves of the transmission error, hysteresis, natural frequencies."""
+"""Kinds of bench files: curves of the transmission error, hysteresis, natural frequencies.
+
+A kind has columns, how they are read, and nuisances of the bench.
+"""
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -10,73 +15,10 @@ from rvjax.base.columns import Table
 from rvjax.measured.branches import branches
 from rvjax.measured.curve_analysis import findings, judge
 from rvjax.measured.hysteresis import about, used
-from rvjax.measured.run import Conditions, Finding, Item, Kind, Run, legs, places, where as named
+from rvjax.measured.run import Conditions, Finding, Run, legs, places
 from rvjax.units import deg
 
 TURN = 359 * deg  # what a run has to cover; every sample represents the step before it
-
-
-class Curve(Kind):
-    """Transmission error over the output angle."""
-
-    needs = ("angle", "error")
-    unit = "rad"
-    example = "0.2 arcsec"
-    nuisances = ("offset", "mounting", "phase", "reading", "drag", "viscous_drag")
-
-    def read(self, table: Table, at: Conditions, rows: np.ndarray) -> Run:
-        """Read the samples of one run; a missing reading is no sample."""
-        angle, error = table.numbers["angle"][rows], table.numbers["error"][rows]
-        kept = ~np.isnan(error)  # a missing reading is no sample; the gap that it leaves is checked with the orders
-        for row, value in zip(table.rows[rows][kept], angle[kept]):
-            if np.isnan(value):
-                raise ValueError(f"{table.source}: row {row}, angle is empty: every sample needs its angle in deg")
-        return Run(table.source, at, unwrapped(angle[kept]), error[kept], table.rows[rows][kept])
-
-    def passes(self, table: Table, at: Conditions, rows: np.ndarray) -> Iterator[tuple[Conditions, np.ndarray]]:
-        """Forth and back of a file without directions; rows without a reading belong to the pass about them."""
-        angle = table.numbers["angle"][rows]
-        known = ~np.isnan(angle) & ~np.isnan(table.numbers["error"][rows])
-        path = unwrapped(angle[known])
-        every = legs(path) if not at.stated else []
-        if len(every) < 2:
-            yield at, rows
-            return
-        for leg in every:
-            rises = path[leg][-1] > path[leg][0]
-            yield replace(at, direction="forward" if rises else "backward", stated=True), rows[known][leg]
-
-    def findings(self, item: Item, parts: Mapping[str, float]) -> tuple[Finding, ...]:
-        """Points, stroke, closure, drift, noise, and orders that are not distinguishable."""
-        return findings(judge(item, parts)) if isinstance(item, Run) else ()
-
-
-def checked(run: Run, finest: int) -> Run:
-    """Check that a run determines the orders up to `finest` of the output revolution.
-
-    Raises:
-        ValueError: it covers less than 359 deg, turns back, or has a gap above half the finest order.
-    """
-    where, angle = named(run.source, run.at), run.angle
-    rank = np.sort(angle)
-    distinct = places(rank, rank)[0]  # repeated readings of a place are no steps
-    step = np.median(np.diff(distinct)) if len(distinct) > 1 else 0.0
-    if (covered := (np.ptp(angle) + step if len(angle) else 0.0) / deg) < TURN / deg:
-        hint = "; a run needs one nominal torque" if len(angle) < 2 else ""
-        raise ValueError(f"{where}: covers {covered:.6g} deg in {len(angle)} samples, needs at least 359 deg{hint}")
-    falls = run.at.direction == "backward" and angle[-1] < angle[0]  # recorded in time, or sorted: both are read
-    onward = -angle if falls else angle
-    period = 360 * deg / finest
-    back = np.max(np.maximum.accumulate(onward) - onward)
-    if back > 0.1 * period:  # less is jitter of an encoder
-        back_by = f"the angle turns back by {back / deg:.4g} deg"
-        raise ValueError(f"{where}: {back_by}; a run goes one way, {run.at.direction}")
-    order = np.argsort(angle, kind="stable")
-    gap = np.max(np.diff(angle[order]))
-    if gap > 0.5 * period:
-        need = f"order {finest} needs at most {0.5 * period / deg:.4g} deg"
-        raise ValueError(f"{where}: a gap of {gap / deg:.4g} deg in the angle; {need}")
-    return replace(run, angle=angle[order], error=run.error[order])
 
 
 @dataclass(frozen=True)
@@ -121,6 +63,130 @@ class Loop:
     recorded: Recorded | None = None
 
 
+@dataclass(frozen=True)
+class Tones:
+    """Natural frequencies of one unit.
+
+    Attributes:
+        source: name of the file.
+        at: under which conditions; torque is None.
+        frequency: ascending, Hz (n,).
+        sd: Hz (n,), NaN where the file does not say.
+    """
+
+    source: str
+    at: Conditions
+    frequency: np.ndarray
+    sd: np.ndarray
+
+
+Item = Run | Loop | Tones
+
+
+class Kind(ABC):
+    """A kind of bench file: quantities whose columns it must have, SI unit and example of a reading, nuisances."""
+
+    needs: ClassVar[tuple[str, ...]]
+    unit: ClassVar[str]
+    example: ClassVar[str]
+    nuisances: ClassVar[tuple[str, ...]] = ()
+
+    @abstractmethod
+    def read(self, table: Table, at: Conditions, rows: np.ndarray) -> Item:
+        """Read what was measured under some conditions.
+
+        Args:
+            table: of the file.
+            at: the conditions.
+            rows: of the table that were measured under them.
+
+        Raises:
+            ValueError: names file, row, column, value and unit.
+        """
+
+    def passes(self, table: Table, at: Conditions, rows: np.ndarray) -> Iterator[tuple[Conditions, np.ndarray]]:
+        """Conditions and rows of each item that rows of equal conditions hold.
+
+        Args:
+            table: of the file.
+            at: the conditions in the file.
+            rows: of the table that have them.
+        """
+        yield at, rows
+
+    def findings(self, item: Item, parts: Mapping[str, float]) -> tuple[Finding, ...]:
+        """Properties of a measurement that limit a result: sampling, noise, and what does not come from the reducer.
+
+        Args:
+            item: what was read.
+            parts: {name: order per output turn, a whole number or not} of what the reducer can cause.
+        """
+        return ()
+
+
+class Curve(Kind):
+    """Transmission error over the output angle."""
+
+    needs = ("angle", "error")
+    unit = "rad"
+    example = "0.2 arcsec"
+    nuisances = ("offset", "mounting", "phase", "reading", "drag", "viscous_drag")
+
+    def read(self, table: Table, at: Conditions, rows: np.ndarray) -> Run:
+        """Read the samples of one run; a missing reading is no sample."""
+        angle, error = table.numbers["angle"][rows], table.numbers["error"][rows]
+        kept = ~np.isnan(error)  # a missing reading is no sample; the gap that it leaves is checked with the orders
+        for row, value in zip(table.rows[rows][kept], angle[kept]):
+            if np.isnan(value):
+                raise ValueError(f"{table.source}: row {row}, angle is empty: every sample needs its angle in deg")
+        return Run(table.source, at, unwrapped(angle[kept]), error[kept], table.rows[rows][kept])
+
+    def passes(self, table: Table, at: Conditions, rows: np.ndarray) -> Iterator[tuple[Conditions, np.ndarray]]:
+        """Forth and back of a file without directions; rows without a reading belong to the pass about them."""
+        angle = table.numbers["angle"][rows]
+        known = ~np.isnan(angle) & ~np.isnan(table.numbers["error"][rows])
+        path = unwrapped(angle[known])
+        every = legs(path) if not at.stated else []
+        if len(every) < 2:
+            yield at, rows
+            return
+        for leg in every:
+            rises = path[leg][-1] > path[leg][0]
+            yield replace(at, direction="forward" if rises else "backward", stated=True), rows[known][leg]
+
+    def findings(self, item: Item, parts: Mapping[str, float]) -> tuple[Finding, ...]:
+        """Points, stroke, closure, drift, noise, and orders that are not distinguishable."""
+        return findings(judge(item, parts)) if isinstance(item, Run) else ()
+
+
+def checked(run: Run, finest: int) -> Run:
+    """Check that a run determines the orders up to `finest` of the output revolution.
+
+    Raises:
+        ValueError: it covers less than 359 deg, turns back, or has a gap above half the finest order.
+    """
+    where, angle = run.name, run.angle
+    rank = np.sort(angle)
+    distinct = places(rank, rank)[0]  # repeated readings of a place are no steps
+    step = np.median(np.diff(distinct)) if len(distinct) > 1 else 0.0
+    if (covered := (np.ptp(angle) + step if len(angle) else 0.0) / deg) < TURN / deg:
+        hint = "; a run needs one nominal torque" if len(angle) < 2 else ""
+        raise ValueError(f"{where}: covers {covered:.6g} deg in {len(angle)} samples, needs at least 359 deg{hint}")
+    falls = run.at.direction == "backward" and angle[-1] < angle[0]  # recorded in time, or sorted: both are read
+    onward = -angle if falls else angle
+    period = 360 * deg / finest
+    back = np.max(np.maximum.accumulate(onward) - onward)
+    if back > 0.1 * period:  # less is jitter of an encoder
+        back_by = f"the angle turns back by {back / deg:.4g} deg"
+        raise ValueError(f"{where}: {back_by}; a run goes one way, {run.at.direction}")
+    order = np.argsort(angle, kind="stable")
+    gap = np.max(np.diff(angle[order]))
+    if gap > 0.5 * period:
+        need = f"order {finest} needs at most {0.5 * period / deg:.4g} deg"
+        raise ValueError(f"{where}: a gap of {gap / deg:.4g} deg in the angle; {need}")
+    return replace(run, angle=angle[order], error=run.error[order])
+
+
 class Hysteresis(Kind):
     """Twist of the output over the torque, input held."""
 
@@ -139,7 +205,7 @@ class Hysteresis(Kind):
         unit = f"unit {at.unit!r}, " if at.unit else ""
         loop = branches(f"{table.source}: {unit}loop", torque, angle)
         return Loop(
-            *(table.source, at, loop.torque, loop.midline, loop.width, loop.sd, loop.clipped),
+            *(table.source, at, loop.torque, loop.midline, loop.width, loop.sd, bool(loop.clipped_at)),
             findings=about(loop, torque, angle, table.rows[rows]),
             recorded=Recorded(torque, angle, used(loop, len(torque))),
         )
@@ -147,23 +213,6 @@ class Hysteresis(Kind):
     def findings(self, item: Item, parts: Mapping[str, float]) -> tuple[Finding, ...]:
         """Properties of a loop: cycles, gap, width at zero torque, lost motion, stiffness, energy."""
         return item.findings if isinstance(item, Loop) else ()
-
-
-@dataclass(frozen=True)
-class Tones:
-    """Natural frequencies of one unit.
-
-    Attributes:
-        source: name of the file.
-        at: under which conditions; torque is None.
-        frequency: ascending, Hz (n,).
-        sd: Hz (n,), NaN where the file does not say.
-    """
-
-    source: str
-    at: Conditions
-    frequency: np.ndarray
-    sd: np.ndarray
 
 
 class Frequencies(Kind):
@@ -184,6 +233,10 @@ class Frequencies(Kind):
                 raise ValueError(f"{where}: must be positive, in {table.shown[name]}")
         order = np.argsort(frequency, kind="stable")
         return Tones(table.source, at, frequency[order], sd[order])
+
+
+KINDS: dict[str, Kind] = {"curve": Curve(), "loop": Hysteresis(), "frequencies": Frequencies()}
+"""Kinds of measurements, by the name that an `rvjax.outputs.Observation` gives it."""
 
 
 def unwrapped(angle: np.ndarray) -> np.ndarray:

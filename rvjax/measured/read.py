@@ -12,10 +12,10 @@ import numpy as np
 
 from rvjax.base import columns as cells
 from rvjax.base.cells import is_number, listed
-from rvjax.base.columns import Table, Units, name_and_unit
+from rvjax.base.columns import Table, name_and_unit
 from rvjax.base.text import guessed
-from rvjax.measured.kinds import Curve, Frequencies, Hysteresis
-from rvjax.measured.run import DIRECTIONS, Conditions, Item, Kind, Run
+from rvjax.measured.kinds import KINDS, Item
+from rvjax.measured.run import DIRECTIONS, Conditions, Run
 from rvjax.units import KNOWN, recognised
 
 SIDES = {
@@ -55,13 +55,7 @@ def is_column(header: str) -> bool:
 
 
 def read_wide(
-    path: str | Path,
-    table: Table,
-    columns: Mapping[str, object] | None,
-    *,
-    units: Units,
-    words: Sequence[str],
-    encoding: str | None = None,
+    path: str | Path, table: Table, columns: Mapping[str, object] | None, encoding: str | None
 ) -> Table | None:
     """The long table of a wide one: angle, error, direction; None if the file is no wide table.
 
@@ -71,21 +65,19 @@ def read_wide(
         path: of the file.
         table: what was read of the file otherwise; its header names the columns.
         columns: foreign names; that of the angle is the target.
-        units: of all quantities that a bench measures.
-        words: columns of text.
         encoding: of the file, such as "cp932"; None: UTF-8, UTF-16 or a guess.
 
     Raises:
         ValueError: no single column of targets, a column without a unit, neither positions nor deviations.
     """
-    header, given = table.header, dict(columns or {})
+    header = table.header
     runs = {k: side for k, text in enumerate(header) if (side := side_of(text)) is not None}
     targets = [k for k, text in enumerate(header) if is_target(text)]
     if not runs or not ("angle" in table.numbers or targets):
         return None
     if "angle" not in table.numbers and len(targets) > 1:
         both = listed([header[k] for k in targets])
-        line = cells.mapping("angle", [header[targets[0]]], units["angle"])[1]
+        line = cells.mapping("angle", [header[targets[0]]], UNITS["angle"])[1]
         raise ValueError(f"{path}: the target may be in {both}; write one in [columns]: {line}")
     at = {f"run {k}": k for k in runs}
     if "angle" not in table.numbers:
@@ -94,30 +86,21 @@ def read_wide(
         if name_and_unit(header[k])[1] is None:
             example = "deg" if name == "angle" else "arcsec"
             raise ValueError(f'{path}: column {header[k]!r}: has no unit; write "{header[k]} [{example}]"')
-    others = {name: family for name, family in units.items() if name != "error"}
-    kept = tuple(word for word in words if word != "direction")
-    read = cells.read_table(
-        path,
-        given,
-        units=others | {name: units["angle"] for name in at},
-        words=kept,
-        at=at,
-        named=is_column,
-        encoding=encoding,
-    )
+    others = {name: family for name, family in UNITS.items() if name != "error"} | dict.fromkeys(at, UNITS["angle"])
+    read = cells.read_table(path, columns, units=others, words=("unit",), at=at, named=is_column, encoding=encoding)
     target = read.numbers["angle"]
     values = np.stack([read.numbers[f"run {k}"] for k in runs], axis=1)
     errors, what = _errors(str(path), target, values)
     repeat = len(runs)
     numbers = {"angle": np.repeat(target, repeat), "error": errors.ravel()}
-    numbers |= {n: np.repeat(v, repeat) for n, v in read.numbers.items() if n in units and n != "angle"}
+    numbers |= {n: np.repeat(v, repeat) for n, v in read.numbers.items() if n in UNITS and n != "angle"}
     texts = {name: [cell for cell in own for _ in runs] for name, own in read.words.items()}
     texts |= {"direction": list(runs.values()) * len(target)}
     sides = "; ".join(
         f"{side}: {listed([header[k] for k in runs if runs[k] == side])}" for side in dict.fromkeys(runs.values())
     )
     first = next(iter(runs))
-    shown = {n: u for n, u in read.shown.items() if n in units} | {"error": read.shown[f"run {first}"]}
+    shown = {n: u for n, u in read.shown.items() if n in UNITS} | {"error": read.shown[f"run {first}"]}
     notes = [note for note in read.notes if not note.startswith("columns are read")]
     notes += [f"a wide table is read: {sides}; {what}"]
     return Table(str(path), np.repeat(read.rows, repeat), numbers, texts, shown, read.header, tuple(notes))
@@ -145,8 +128,6 @@ UNITS["temperature"] = {"degC": 1.0}
 SWEPT = 4  # different torques that a loop has at least
 WORDS = ("direction", "unit")
 _WAYS = {"": "forward", "forward": "forward", "fwd": "forward", "backward": "backward", "bwd": "backward"}
-KINDS: dict[str, Kind] = {"curve": Curve(), "loop": Hysteresis(), "frequencies": Frequencies()}
-"""Kinds of measurements, by the name that an `rvjax.outputs.Observation` gives it."""
 
 
 def read_table(
@@ -175,7 +156,7 @@ def read_table(
     if (found and not few) or kind not in (None, "curve"):
         return table
     try:  # a wide table may be at a few nominal torques
-        return read_wide(path, table, columns, units=UNITS, words=WORDS, encoding=encoding) or table
+        return read_wide(path, table, columns, encoding) or table
     except ValueError:
         if few:
             return table

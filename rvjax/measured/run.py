@@ -1,21 +1,16 @@
-"""Runs of a bench: conditions and findings, kinds of files with their columns, and the sampling of a curve.
+"""Runs of a bench: conditions and findings, and the sampling of a curve.
 
-A kind has columns, how they are read, and nuisances of the bench. A sampling has passes of the angle, repeated
-readings, stroke, and the order at which the angles repeat.
+A sampling has passes of the angle, repeated readings, stroke, and the order at which the angles repeat.
 """
 
 import dataclasses
 import functools
 import itertools
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
 
 import numpy as np
 
-from rvjax.base.columns import Table
 from rvjax.units import deg, rpm
 
 DIRECTIONS = {"forward": 1, "backward": -1}
@@ -53,17 +48,6 @@ class Conditions:
         return f"{torque}{self.direction}{speed}" + ("" if self.temperature is None else f", {self.temperature:g} degC")
 
 
-def where(source: str, at: Conditions) -> str:
-    """Name a run in a message.
-
-    Args:
-        source: name of the file.
-        at: its conditions.
-    """
-    unit = f"unit {at.unit!r}, " if at.unit else ""
-    return f"{source}: {unit}run {at.text()}"
-
-
 @dataclass(frozen=True, eq=False)
 class Run:
     """Transmission error along a turn of the output.
@@ -85,19 +69,8 @@ class Run:
     @property
     def name(self) -> str:
         """File, unit and conditions, for a message."""
-        return where(self.source, self.at)
-
-
-class Item(Protocol):
-    """Content of a file for one set of conditions."""
-
-    @property
-    def source(self) -> str:
-        """Name of the file."""
-
-    @property
-    def at(self) -> Conditions:
-        """Under which conditions."""
+        unit = f"unit {self.at.unit!r}, " if self.at.unit else ""
+        return f"{self.source}: {unit}run {self.at.text()}"
 
 
 @dataclass(frozen=True)
@@ -117,47 +90,6 @@ class Finding:
     unit: str
     text: str = ""
     warning: bool = False
-
-
-class Kind(ABC):
-    """A kind of bench file: quantities whose columns it must have, SI unit and example of a reading, nuisances."""
-
-    needs: ClassVar[tuple[str, ...]]
-    unit: ClassVar[str]
-    example: ClassVar[str]
-    nuisances: ClassVar[tuple[str, ...]] = ()
-
-    @abstractmethod
-    def read(self, table: Table, at: Conditions, rows: np.ndarray) -> Item:
-        """Read what was measured under some conditions.
-
-        Args:
-            table: of the file.
-            at: the conditions.
-            rows: of the table that were measured under them.
-
-        Raises:
-            ValueError: names file, row, column, value and unit.
-        """
-
-    def passes(self, table: Table, at: Conditions, rows: np.ndarray) -> Iterator[tuple[Conditions, np.ndarray]]:
-        """Conditions and rows of each item that rows of equal conditions hold.
-
-        Args:
-            table: of the file.
-            at: the conditions in the file.
-            rows: of the table that have them.
-        """
-        yield at, rows
-
-    def findings(self, item: Item, parts: Mapping[str, float]) -> tuple[Finding, ...]:
-        """Properties of a measurement that limit a result: sampling, noise, and what does not come from the reducer.
-
-        Args:
-            item: what was read.
-            parts: {name: order per output turn, a whole number or not} of what the reducer can cause.
-        """
-        return ()
 
 
 WHOLE = 359 * deg  # a stroke that counts as a whole revolution
