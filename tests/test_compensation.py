@@ -197,8 +197,8 @@ def test_the_peak_to_peak_is_that_of_the_curve():
     order, value = np.array([1, 2]), np.array([1.0, 1.0]) * arcsec
     left = predicted(correction(order, value, ratio=RATIO, count=0), draws=4)
     due = np.ptp(curve(order, value, TURN))
-    assert left.before_peak_to_peak.value == pytest.approx(due, rel=0.02) == 3.125 * arcsec
-    assert left.before_rms.value == pytest.approx(rms(curve(order, value, TURN)), rel=1e-9)
+    assert left.peak_to_peak.value == pytest.approx(due, rel=0.02) == 3.125 * arcsec
+    assert left.rms.value == pytest.approx(rms(curve(order, value, TURN)), rel=1e-9)
 
 
 def test_an_input_that_turns_against_the_output_has_the_table_of_the_other_sign():

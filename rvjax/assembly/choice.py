@@ -196,19 +196,16 @@ def _prove(layers: Sequence[np.ndarray], supply: Supply, allowed: np.ndarray, ex
         combos = combos[rank[first]]
     if not len(combos):
         return None
-    used, caps = [], []
+    limits = []
     for group in sorted(set(supply.group)):
         slots = supply.slots(group)
         pieces = supply.pieces[slots[0]]
-        count = len(combos)
-        rows = np.concatenate([combos[:, slot] for slot in slots])
-        columns = np.tile(np.arange(count), len(slots))
-        used.append(csr_array((np.ones(len(rows)), (rows, columns)), shape=(len(pieces), count)))
-        caps.append(pieces)
-    limits = [LinearConstraint(matrix, ub=pieces) for matrix, pieces in zip(used, caps)]
+        rows, columns = combos[:, slots].T.ravel(), np.tile(np.arange(len(combos)), len(slots))
+        used = csr_array((np.ones(len(rows)), (rows, columns)), shape=(len(pieces), len(combos)))
+        limits.append(LinearConstraint(used, ub=pieces))
     limits.append(LinearConstraint(np.ones((1, len(combos))), lb=supply.units, ub=supply.units))
     most = np.min([supply.pieces[slot][combos[:, slot]] for slot in range(combos.shape[1])], axis=0)
-    counts = None
+    counts = np.zeros(len(combos), int)
     for number, layer in enumerate(layers):
         cost = np.asarray(layer, float)[tuple(combos.T)]
         span = np.ptp(cost)
@@ -229,8 +226,6 @@ def _prove(layers: Sequence[np.ndarray], supply: Supply, allowed: np.ndarray, ex
         counts = np.round(solution.x).astype(int)
         steps = np.diff(np.unique(scaled)).min(initial=1.0)
         limits.append(LinearConstraint(scaled[None], ub=float(scaled @ counts) + 0.25 * steps))
-    if counts is None:
-        return None
     return [tuple(map(int, combos[k])) for k in np.flatnonzero(counts) for _ in range(counts[k])]
 
 

@@ -97,14 +97,10 @@ class Left:
     Attributes:
         rms: of the curve that stays, rad.
         peak_to_peak: of the curve that stays, rad.
-        before_rms: of the curve without correction, rad.
-        before_peak_to_peak: of the curve without correction, rad.
     """
 
     rms: Estimate
     peak_to_peak: Estimate
-    before_rms: Estimate
-    before_peak_to_peak: Estimate
 
 
 @checked
@@ -303,15 +299,11 @@ def predicted(correction: Correction, *, draws: int = 4096, seed: int = 0, confi
     left = truth - correction.stored * np.exp(1j * shift[:, None] * order)
     points = 8 * (int(order.max(initial=1)) + 1)  # eight to a wave of the highest order: 2 % of a peak at most
     waves = np.exp(2j * np.pi * np.outer(order, np.arange(points)) / points)
-    sizes = {}
-    for name, values in (("", left), ("before_", truth)):
-        sizes[f"{name}rms"] = np.sqrt(np.sum(np.abs(values) ** 2, axis=1) / 2)
-        peaks = [np.ptp((values[k : k + CURVES] @ waves).real, axis=1) for k in range(0, draws, CURVES)]
-        sizes[f"{name}peak_to_peak"] = np.concatenate(peaks)
-    tails = [(1 - confidence) / 2, (1 + confidence) / 2]
-    return Left(
-        **{
-            name: Estimate(float(size.mean()), float(size.std(ddof=1)), *map(float, np.quantile(size, tails)))
-            for name, size in sizes.items()
-        }
-    )
+    rms = np.sqrt(np.sum(np.abs(left) ** 2, axis=1) / 2)
+    peaks = [np.ptp((left[k : k + CURVES] @ waves).real, axis=1) for k in range(0, draws, CURVES)]
+
+    def estimate(size: np.ndarray) -> Estimate:
+        lower, upper = np.quantile(size, [(1 - confidence) / 2, (1 + confidence) / 2])
+        return Estimate(float(size.mean()), float(size.std(ddof=1)), float(lower), float(upper))
+
+    return Left(estimate(rms), estimate(np.concatenate(peaks)))

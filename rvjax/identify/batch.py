@@ -19,7 +19,7 @@ from rvjax.identify.gauss_newton import Mode, info_of, weights_of
 from rvjax.identify.goodness_of_fit import ADEQUATE, Fit, goodness, largest
 from rvjax.identify.identification import Model, Problem, counted, integer
 from rvjax.identify.observation import Noise
-from rvjax.identify.posterior import outcome
+from rvjax.identify.posterior import limits_of, outcome
 from rvjax.identify.search import APART, FAINT, ended_near, evidence_of, follow, lower_points, peak_of
 from rvjax.identify.shared import Split, Units, joint_mode, linear_rows, triangular
 from rvjax.population import Correlation, deviate_of
@@ -128,9 +128,8 @@ def _mean_sd(slopes: np.ndarray, mixing: np.ndarray, spread: np.ndarray) -> np.n
 
 def _limits(elements: Elements) -> np.ndarray:
     """Limits of the drawing on the scale of u (2, p), infinite where a distribution never reaches them."""
-    active = elements.population.active
-    ends = np.array([[float(active[f].lower), float(active[f].upper)] for f in elements.fields]).T
-    vectors = np.array([active[f].is_vector for f in elements.fields])
+    ends = limits_of(elements, None)
+    vectors = np.array([elements.population.active[field].is_vector for field in elements.fields])
     ends[0, vectors] = -ends[1, vectors]  # a component has the limit of the length to both sides
     places = np.asarray(standard(elements.population, jnp.asarray(ends)))
     return np.where(np.abs(places) > FAR - 1, np.sign(places) * np.inf, places)

@@ -173,27 +173,23 @@ def info_of(status: np.ndarray, steps: np.ndarray, away: np.ndarray) -> SolveInf
 
 def _at_the_starts(starts: np.ndarray, size: int, p: int) -> _State:
     count = len(starts)
-
-    def full(value: float, kind: type = float) -> np.ndarray:
-        return np.full(count, value, kind)
-
     return _State(
         z=starts.copy(),
         residual=np.zeros((count, size)),
         slopes=np.zeros((count, size, p)),
         observation=np.zeros((count, size)),
-        phi=full(np.inf),
-        slack=full(0.0),
+        phi=np.full(count, np.inf),
+        slack=np.zeros(count),
         step=np.zeros_like(starts),
-        away=full(np.inf),
-        enough=full(TOLERANCE),
+        away=np.full(count, np.inf),
+        enough=np.full(count, TOLERANCE),
         plain=np.zeros_like(starts),
-        as_it_is=full(False, bool),
-        promise=full(0.0),
-        damping=full(0.0),
-        growth=full(2.0),
-        vain=full(0, np.int32),
-        steps=full(0, np.int32),
+        as_it_is=np.zeros(count, bool),
+        promise=np.zeros(count),
+        damping=np.zeros(count),
+        growth=np.full(count, 2.0),
+        vain=np.zeros(count, np.int32),
+        steps=np.zeros(count, np.int32),
     )
 
 

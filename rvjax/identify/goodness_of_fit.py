@@ -232,7 +232,7 @@ def reliability(log_weights: np.ndarray, modes: int) -> Laplace:
         log_weights: of draws from the normal distribution; -inf where the model is not finite.
         modes: that hold more than 1 %.
     """
-    weights = np.exp(log_weights - log_weights.max()) if np.isfinite(log_weights.max()) else np.zeros(1)
-    k = pareto_shape(log_weights) if weights.any() else math.inf
-    ess = float(weights.sum() ** 2 / (weights**2).sum()) if weights.any() else 0.0
-    return Laplace(k, ess, bool(k <= MOST_PARETO and modes <= 1))
+    if not np.isfinite(log_weights.max()):
+        return Laplace(math.inf, 0.0, False)
+    weights, k = np.exp(log_weights - log_weights.max()), pareto_shape(log_weights)
+    return Laplace(k, float(weights.sum() ** 2 / (weights**2).sum()), bool(k <= MOST_PARETO and modes <= 1))

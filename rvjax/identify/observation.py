@@ -81,7 +81,8 @@ class Layout:
         """
         leaves, treedef = jax.tree_util.tree_flatten_with_path(observation)
         shapes = tuple(tuple(np.shape(leaf)) for _, leaf in leaves)
-        made = cls(treedef, tuple(path for path, _ in leaves), shapes, tuple(_is_complex(leaf) for _, leaf in leaves))
+        kinds = tuple(np.iscomplexobj(leaf) for _, leaf in leaves)
+        made = cls(treedef, tuple(path for path, _ in leaves), shapes, kinds)
         if not made.size:
             raise ValueError("model: its observation holds no number")
         return made
@@ -189,10 +190,6 @@ class Layout:
             ) from None
         names = [jax.tree_util.keystr(path) for path in self.paths]
         yield from zip(names, self.shapes, self.complex, leaves)
-
-
-def _is_complex(leaf: object) -> bool:
-    return bool(np.issubdtype(leaf.dtype if hasattr(leaf, "dtype") else np.asarray(leaf).dtype, np.complexfloating))
 
 
 def _numbers(name: str, leaf: object, pairs: bool) -> np.ndarray:

@@ -113,7 +113,7 @@ def cycles(torque: np.ndarray) -> Cycles:
     within = max(REST * span, 3 * noise / np.sqrt(window))
     rests = [_rest(smooth, turns, k, within) for k in range(len(turns))]
     paths = [
-        _path(torque, np.arange(rests[k][1] + 1, rests[k + 1][0]), smooth[turns[k]], smooth[turns[k + 1]])
+        _path(np.arange(rests[k][1] + 1, rests[k + 1][0]), smooth[turns[k]], smooth[turns[k + 1]])
         for k in range(len(turns) - 1)
     ]
     before = [None, *paths[:-1]]
@@ -169,7 +169,7 @@ def _rest(torque: np.ndarray, turns: list[int], k: int, within: float) -> tuple[
     return (back[-1] + 1 if len(back) else low), (ahead[0] - 1 if len(ahead) else high)
 
 
-def _path(torque: np.ndarray, index: np.ndarray, start: float, end: float) -> Path:
+def _path(index: np.ndarray, start: float, end: float) -> Path:
     return Path(index, index.astype(float), float(start), float(end))
 
 

@@ -252,7 +252,7 @@ def _candidates(
     fresh = model.residual.copy()
     fresh[1:] -= memory(model.residual) * model.residual[:-1]
     for values in (model.residual, fresh):
-        yield from _waves(model, values, sampling, parts, top)
+        yield from _waves(model, values, sampling, top)
         yield _glitch(model, values)
         if timed:
             yield _step(model, values)
@@ -264,9 +264,7 @@ def _candidates(
             yield Term("line", order, name)
 
 
-def _waves(
-    model: Model, values: np.ndarray, sampling: Sampling, parts: Mapping[str, float], top: float
-) -> Iterator[Term]:
+def _waves(model: Model, values: np.ndarray, sampling: Sampling, top: float) -> Iterator[Term]:
     """The strongest whole order, and the strongest line with the whole orders about it."""
     order, size = spectrum(model.angle, values, top)
     power = np.abs(size) ** 2
