@@ -131,6 +131,17 @@ def drawing(tmp_path, request):
 
 
 @pytest.fixture
+def write(tmp_path):
+    """Write the file of a bench, text or bytes; its path."""
+
+    def made(content, name="bench.csv", encoding="utf-8"):
+        (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode(encoding))
+        return tmp_path / name
+
+    return made
+
+
+@pytest.fixture
 def unsolved(monkeypatch):
     """`rvjax check` without the unit at the mid-points, ten seconds of compilation: for tests of its other lines."""
     none = lambda self, _: (dict.fromkeys(self.requirements, float("nan")), Status.CONVERGED)  # noqa: E731

@@ -21,15 +21,6 @@ ANGLE, ERROR = [0.5, 1.5, 2.5], [-1.25, 2.0, 3.0]
 PLAIN = "angle [deg],error [arcsec]"
 
 
-@pytest.fixture
-def write(tmp_path):
-    def made(content, name="bench.csv"):
-        (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
-        return tmp_path / name
-
-    return made
-
-
 def rows(between=",", point=".", after=""):
     lines = (f"{a}{between}{e}".replace(".", point) for a, e in zip(ANGLE, ERROR))
     return "".join(f"{line}{after}\n" for line in lines)

@@ -9,16 +9,6 @@ import pytest
 from rvjax import measured
 from rvjax.units import arcsec
 
-
-@pytest.fixture
-def write(tmp_path):
-    def made(text, name="wide.csv"):
-        (tmp_path / name).write_text(text, "utf-8")
-        return tmp_path / name
-
-    return made
-
-
 TARGET = np.array([0.0, 90.0, 180.0, 360.0])
 FORTH, BACK = np.array([[0.4, 0.5], [0.6, 0.7], [-0.2, -0.1], [0.3, 0.2]]), np.array([[-1.0], [-1.1], [-1.2], [-1.4]])
 

@@ -14,15 +14,6 @@ from rvjax.study.problem import problem
 from rvjax.units import arcmin, arcsec, deg
 
 
-@pytest.fixture
-def write(tmp_path):
-    def made(text, name="bench.csv", encoding="utf-8"):
-        (tmp_path / name).write_text(text, encoding)
-        return tmp_path / name
-
-    return made
-
-
 def refused(path, columns=None):
     """The message, without the folder; one line."""
 

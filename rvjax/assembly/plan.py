@@ -128,9 +128,10 @@ def plan(
     draws = 1 if certain else draws
     rng = np.random.default_rng([seed % 2**64, 2])
     given = machine, draw(slots, seed, 0, draws, alike=True), draws, requirement, objective == "yield"
+    priced: Costs | OnDemand
     with best_so_far(keep_best) as unsearched:
         if too_many(machine, draws, most_valued):
-            priced: Costs | OnDemand = OnDemand(*given)
+            priced = OnDemand(*given)
             best = chosen_on_demand(priced, supply, objective, starts, rng, most_valued)
         else:
             priced = costs(*given)

@@ -12,7 +12,7 @@ import json
 import math
 import re
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable, Collection, Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -108,11 +108,11 @@ class Schedule:
             raise ValueError(f"torque = {torque!r} N m: must be finite")
         measured = self.corrections[direction]
         torques = [at for at, _ in measured]
-        above = int(np.clip(np.searchsorted(torques, torque), 1, max(len(torques) - 1, 1)))
-        if len(torques) == 1 or torque <= torques[0]:
+        if torque <= torques[0]:
             return measured[0][1]
         if torque >= torques[-1]:
             return measured[-1][1]
+        above = int(np.searchsorted(torques, torque))
         (low, first), (high, second) = measured[above - 1], measured[above]
         return _between(first, second, (torque - low) / (high - low))
 
@@ -309,17 +309,18 @@ def _write_mjcf(table: Table, joint: Joint, seed: int | None) -> str:
 
 
 def _read_mjcf(text: str) -> Parsed:
-    items = {item.get("name", ""): item for item in ElementTree.fromstring(text).iter("numeric")}
-    name = _one_of_two(items, "numerics")
-    angle, correction = ([float(x) for x in items[n].get("data", "").split()] for n in (f"{name}_angle", name))
-    return angle, correction, {"name": name}
+    arrays = {}
+    for item in ElementTree.fromstring(text).iter("numeric"):
+        arrays[item.get("name", "")] = [float(x) for x in item.get("data", "").split()]
+    return _named(arrays, "numerics")
 
 
-def _one_of_two(items: Collection[str], what: str) -> str:
-    names = [name for name in items if f"{name}_angle" in items]
+def _named(arrays: Mapping[str, list[float]], what: str) -> Parsed:
+    """The table of two arrays NAME and NAME_angle."""
+    names = [name for name in arrays if f"{name}_angle" in arrays]
     if len(names) != 1:
         raise ValueError(f"there must be two {what} NAME and NAME_angle")
-    return names[0]
+    return arrays[f"{names[0]}_angle"], arrays[names[0]], {"name": names[0]}
 
 
 def _write_structured_text(table: Table, joint: Joint, seed: int | None) -> str:
@@ -337,8 +338,7 @@ def _read_structured_text(text: str) -> Parsed:
         if len(parts) != int(last) + 1 or not all(re.fullmatch(NUMBER, part) for part in parts):
             raise ValueError(f"{name}: must hold {int(last) + 1} numbers")
         arrays[name] = [float(part) for part in parts]
-    name = _one_of_two(arrays, "arrays")
-    return arrays[f"{name}_angle"], arrays[name], {"name": name}
+    return _named(arrays, "arrays")
 
 
 FORMS: dict[str, Form] = {

@@ -298,7 +298,7 @@ def _accept_kinks(problem: Problem, y: np.ndarray, lanes: Mode) -> None:
     wanting = near.any(axis=1) & (lanes.info.status != Status.CONVERGED).all(axis=1)
     for unit in np.flatnonzero(wanting):
         lane = int(np.argmin(np.where(near[unit], lanes.phi[unit], np.inf)))
-        peak = peak_of(problem, y[unit], lanes, (unit, lane))
+        peak = peak_of(problem, y[unit], lanes, (int(unit), lane))
         if not lower_points(problem, y[unit], peak, SIDES, bent=True):
             lanes.info.status[unit, lane] = Status.CONVERGED
 

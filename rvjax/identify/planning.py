@@ -128,28 +128,35 @@ def rank_measurements(
     counted("exhaustive", exhaustive, 1)
     if already and already not in candidates:
         raise ValueError(f"already = {already!r} is no candidate; these are: {', '.join(candidates)}")
-    gain = _Gain.of(prior, candidates, noise, nuisance, given, correlation, already)
+    noises = noise if isinstance(noise, Mapping) else dict.fromkeys(candidates, noise)
+    for name in (*noises, *candidates):
+        if name not in candidates or name not in noises:
+            raise ValueError(f"noise: {name!r} must be a candidate with a Noise")
+    problems = {
+        name: Problem.of(model, prior, noise=noises[name], nuisance=nuisance, correlation=correlation)
+        for name, model in candidates.items()
+    }
+    if any(len(each.nuisance) == each.elements.count for each in problems.values()):
+        raise ValueError(f"nuisance = {nuisance!r}: no element is left")
+    gain = _Gain.of(problems, given, already)
     names = [name for name in candidates if name != already]
     gains = gain.of_sets([(k,) for k in range(len(names))])
     if costs is None:
         counted("count", count, 1)  # type: ignore[arg-type]
         if count > len(names):
             raise ValueError(f"count = {count!r}: there are only {len(names)} candidates")
-        number = int(count)
-        sets: Iterable[tuple[int, ...]] = itertools.combinations(range(len(names)), number)
-        chosen, total, proved = _choose(
-            gain, sets, math.comb(len(names), number), exhaustive, np.ones(len(names)), float(number)
-        )
+        prices, number = np.ones(len(names)), math.comb(len(names), int(count))
+        sets: Iterable[tuple[int, ...]] = itertools.combinations(range(len(names)), int(count))
     else:
-        prices = _prices(costs, names)
+        prices, number = _prices(costs, names), 2 ** len(names) - 1
         if not count > 0:
             raise ValueError(f"count = {count!r}: must be positive, unit of the costs")
-        if count == 1:
-            best = int(np.argmax(gains / prices))
-            chosen, total, proved = (best,), float(gains[best]), True
-        else:
-            sets = _affordable(prices, float(count))
-            chosen, total, proved = _choose(gain, sets, 2 ** len(names) - 1, exhaustive, prices, float(count))
+        sets = _affordable(prices, float(count))
+    if costs is None or count != 1:
+        chosen, total, proved = _choose(gain, sets, number, exhaustive, prices, float(count))
+    else:
+        best = int(np.argmax(gains / prices))
+        chosen, total, proved = (best,), float(gains[best]), True
     order = sorted(chosen, key=lambda k: -gains[k])
     return Ranking(dict(zip(names, map(float, gains))), tuple(names[k] for k in order), total, proved)
 
@@ -182,34 +189,9 @@ class _Gain:
     already: np.ndarray  # (rows, n): of what is measured in any case
 
     @classmethod
-    def of(
-        cls,
-        prior: object,
-        candidates: Mapping[str, Model],
-        noise: Noise | Mapping[str, Noise],
-        nuisance: str | Iterable[str],
-        given: Posterior | None,
-        correlation: Correlation,
-        already: str,
-    ) -> "_Gain":
-        if isinstance(noise, Mapping):
-            for name in (*noise, *candidates):
-                if name not in candidates or name not in noise:
-                    raise ValueError(f"noise: {name!r} must be a candidate with a Noise")
-        problems = [
-            Problem.of(
-                model,
-                prior,
-                noise=noise[name] if isinstance(noise, Mapping) else noise,
-                nuisance=nuisance,
-                correlation=correlation,
-            )
-            for name, model in candidates.items()
-        ]
-        elements, places = problems[0].elements, problems[0].nuisance
-        asked = np.setdiff1d(np.arange(elements.count), places)
-        if not asked.size:
-            raise ValueError(f"nuisance = {nuisance!r}: no element is left")
+    def of(cls, problems: Mapping[str, Problem], given: Posterior | None, already: str) -> "_Gain":
+        first = next(iter(problems.values()))
+        elements, asked = first.elements, np.setdiff1d(np.arange(first.elements.count), first.nuisance)
         u, root = np.zeros(elements.count), np.eye(elements.mixing.shape[1])
         if given is not None:
             if given.names != elements.names:
@@ -218,15 +200,14 @@ class _Gain:
                 raise ValueError(f"given: status {given.status}, it must have a mode")
             u, root = given.u, given.peaks[0].spectrum.root
         mixing = elements.mixing @ root
-        raw = zip(problems, _slopes(problems, u))
+        every = list(problems.values())
+        raw = zip(every, _slopes(every, u))
         slopes = [np.sqrt(each.discount) / each.sd[:, None] * slope @ mixing for each, slope in raw]
         factors = [compress_rows(item) for item in slopes]
         rows = max(len(item) for item in factors)
         stacked = np.stack([np.pad(item, ((0, rows - len(item)), (0, 0))) for item in factors])
-        own = np.array([name == already for name in candidates])
-        return cls(
-            stacked[~own], np.linalg.svd(mixing[asked])[2][asked.size :].T, stacked[own].reshape(-1, root.shape[1])
-        )
+        own, free = np.array([name == already for name in problems]), np.linalg.svd(mixing[asked])[2][asked.size :].T
+        return cls(stacked[~own], free, stacked[own].reshape(-1, root.shape[1]))
 
     def of_sets(self, sets: list[tuple[int, ...]]) -> np.ndarray:
         """Gain of each set, all of one size."""

@@ -250,13 +250,12 @@ def joint_mode(
         max_steps: most steps from each.
         rows: the chunks.
     """
-    best = None
-    for point in points:
+
+    def solved(point: np.ndarray) -> Joint:
         joint = Joint(problem, split, y, rows)
         joint.solve(point, max_steps)
-        rank = (joint.status != Status.CONVERGED, joint.phi)
-        if best is None or rank < (best.status != Status.CONVERGED, best.phi):
-            best = joint
-    assert best is not None
+        return joint
+
+    best = min(map(solved, points), key=lambda joint: (joint.status != Status.CONVERGED, joint.phi))
     best.finish()
     return best

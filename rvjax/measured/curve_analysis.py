@@ -62,6 +62,14 @@ class Judged:
         """Orders of the part that a motor turns, against the housing and against the output."""
         return _driven(self.parts, 0.0)
 
+    def hidden(self, order: float) -> dict[str, float]:
+        """Parts whose order is the same numbers at these angles.
+
+        Args:
+            order: per revolution.
+        """
+        return {name: own for name, own in self.parts.items() if self.sampling.alike(own, order)}
+
     def looks_like(self, order: float) -> float:
         """Lowest order that has the same numbers at these angles.
 

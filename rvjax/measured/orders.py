@@ -205,9 +205,9 @@ def doubt(judged: Judged, order: float) -> str:
         return f"order {near[0][1]:.5g} is next to it"
     if order >= sampling.finest:
         return f"it may be order {judged.looks_like(order):g}"
-    for name, own in parts.items():
-        if sampling.alike(own, order):
-            return f"it may be order {own:.5g} ({name})"
+    if names := judged.hidden(order):
+        name, own = next(iter(names.items()))
+        return f"it may be order {own:.5g} ({name})"
     if order in parts.values() or not math.isfinite(sampling.repeat):
         return ""
     fastest = max(judged.driven)
