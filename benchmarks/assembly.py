@@ -138,9 +138,8 @@ def levers(count=10, sets=8):
         best = assembly.plan(whole, given, **options)
         alone = []
         for k in range(count):
-            one = {"disc_0": first, "disc_1": second, "bearings": bearings}
             single = {s: Kind([kind.parts[as_they_come[k] if s == "bearings" else k]], indices=kind.indices)
-                      for s, kind in one.items()}  # fmt: skip
+                      for s, kind in given.items()}  # fmt: skip
             alone.append(assembly.plan(whole, single, **options))
         same = Kind([bearings.parts[1]], stock=[count])
         paired = assembly.plan(whole, given | {"bearings": same}, **options)

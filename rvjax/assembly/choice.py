@@ -199,7 +199,7 @@ def _prove(layers: Sequence[np.ndarray], supply: Supply, allowed: np.ndarray, ex
     limits = []
     for group in sorted(set(supply.group)):
         slots = supply.slots(group)
-        pieces = supply.pieces[slots[0]]
+        pieces = supply.stock(group)
         rows, columns = combos[:, slots].T.ravel(), np.tile(np.arange(len(combos)), len(slots))
         used = csr_array((np.ones(len(rows)), (rows, columns)), shape=(len(pieces), len(combos)))
         limits.append(LinearConstraint(used, ub=pieces))

@@ -72,8 +72,6 @@ def opening(
     """
     if sets < 1:
         raise ValueError(f"sets = {sets!r}: must be at least 1")
-    if not isinstance(requirement, Requirement):
-        raise ValueError(f"requirement = {requirement!r}: must be a Requirement")
     if len(kinds) < 2:
         raise ValueError(f"kinds: {len(kinds)} slots, must be at least 2")
     by_slot = isinstance(tolerances, dict) and set(kinds) <= set(tolerances)
@@ -83,13 +81,37 @@ def opening(
     }
     if not any(stock.moving for stock in stocks.values()):
         raise ValueError("tolerances: must hold a Tolerance of an error of the parts")
+
+    def yields(factor: float, number: int) -> tuple[float, float]:
+        """Share of good units of the plan, and of all combinations, of one set of true parts."""
+        made = {key: stock.parts(factor, number) for key, stock in stocks.items()}
+        by_kind = {key: known(kind, "kinds") for key, (kind, _) in made.items()}
+        slots = {slot: by_kind[id(kind)] for slot, kind in kinds.items()}
+        machine, supply = Machine(response, slots), supply_of(slots)
+        true = {}
+        for slot, kind in kinds.items():
+            one, truth = slots[slot], made[id(kind)][1]
+            moving = [place for place in range(len(truth[0])) if place not in one.still]
+            true[slot] = [np.stack([truth[k][place] for k in one.order])[:, None] for place in moving]
+        known_at = costs(machine, true, 1, requirement, True)
+        weight = supply.weight()
+        assert known_at.every_good is not None
+        random = float((weight * known_at.every_good).sum() / weight.sum())
+        draws = 1 if all(one.certain for one in slots.values()) else DRAWS
+        seen = known_at
+        if draws > 1:
+            seen = costs(machine, draw(slots, seed, 0, draws, alike=True), draws, requirement, True)
+        build = np.array(chosen(seen, supply, "yield", 4, np.random.default_rng([seed % 2**64, 5, number]))[0])
+        turn = machine.indices[seen.index[tuple(build.T)]]
+        values = machine.values(true, build, turn, np.zeros(len(build), int))
+        return float(good(values, requirement).mean()), random
+
     tried: dict[float, tuple[float, float]] = {}
 
     def kept(power: float | np.ndarray) -> bool:
         """Return whether plans keep the yield at this power of two as factor."""
         factor = 2.0 ** float(power)
-        yields = [_yields(response, kinds, stocks, requirement, factor, number, seed) for number in range(sets)]
-        matched, random = np.mean(yields, axis=0)
+        matched, random = np.mean([yields(factor, number) for number in range(sets)], axis=0)
         tried[factor] = (float(matched), float(random))
         return tried[factor][0] >= tried[1.0][1]
 
@@ -142,36 +164,3 @@ def _widen(tolerances: object, factor: float) -> object:
         return leaf.with_half_width(factor * float(leaf.half_width)) if isinstance(leaf, Tolerance) else leaf
 
     return jax.tree.map(wider, tolerances, is_leaf=lambda leaf: leaf is None or isinstance(leaf, Tolerance))
-
-
-def _yields(
-    response: UnitResponse,
-    kinds: Mapping[str, Kind],
-    stocks: Mapping[int, _Virtual],
-    requirement: Requirement,
-    factor: float,
-    number: int,
-    seed: int,
-) -> tuple[float, float]:
-    """Share of good units of the plan, and of all combinations, of one set of true parts."""
-    made = {key: stock.parts(factor, number) for key, stock in stocks.items()}
-    by_kind = {key: known(kind, "kinds") for key, (kind, _) in made.items()}
-    slots = {slot: by_kind[id(kind)] for slot, kind in kinds.items()}
-    machine, supply = Machine(response, slots), supply_of(slots)
-    true = {}
-    for slot, kind in kinds.items():
-        one, truth = slots[slot], made[id(kind)][1]
-        moving = [place for place in range(len(truth[0])) if place not in one.still]
-        true[slot] = [np.stack([truth[k][place] for k in one.order])[:, None] for place in moving]
-    known_at = costs(machine, true, 1, requirement, True)
-    weight = supply.weight()
-    assert known_at.every_good is not None
-    random = float((weight * known_at.every_good).sum() / weight.sum())
-    draws = 1 if all(one.certain for one in slots.values()) else DRAWS
-    seen = known_at
-    if draws > 1:
-        seen = costs(machine, draw(slots, seed, 0, draws, alike=True), draws, requirement, True)
-    build = np.array(chosen(seen, supply, "yield", 4, np.random.default_rng([seed % 2**64, 5, number]))[0])
-    turn = machine.indices[seen.index[tuple(build.T)]]
-    values = machine.values(true, build, turn, np.zeros(len(build), int))
-    return float(good(values, requirement).mean()), random

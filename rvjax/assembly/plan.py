@@ -204,15 +204,12 @@ def _check(
         if not isinstance(kind, Kind):
             raise ValueError(f"kinds[{slot!r}] = {kind!r}: must be a Kind")
     choose("objective", objective, OBJECTIVES)
-    if requirement is not None and not isinstance(requirement, Requirement):
-        raise ValueError(f"requirement = {requirement!r}: must be a Requirement")
     if objective == "yield" and requirement is None:
         raise ValueError("requirement = None: objective 'yield' needs the limits of a good unit")
     for name, count in counts.items():
         if isinstance(count, bool) or not isinstance(count, int) or count < 1:
             raise ValueError(f"{name} = {count!r}: must be a whole number of at least 1")
-    if not 0 < confidence < 1:
-        raise ValueError(f"confidence = {confidence!r}: must lie between 0 and 1")
+    deviate_of(confidence)
 
 
 def _estimate(values: np.ndarray, confidence: float) -> Estimate:

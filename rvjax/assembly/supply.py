@@ -46,6 +46,10 @@ class Supply:
         """Slots that a stock feeds."""
         return [slot for slot, own in enumerate(self.group) if own == group]
 
+    def stock(self, group: int) -> np.ndarray:
+        """Pieces of each part in a stock."""
+        return self.pieces[self.group.index(group)]
+
     def weight(self) -> np.ndarray:
         """Frequency of each combination in random assembly, up to a factor: pieces of its parts (parts, ...)."""
         places = np.meshgrid(*map(np.arange, self.shape), indexing="ij", sparse=True)
@@ -215,7 +219,7 @@ def random_plan(supply: Supply, rng: np.random.Generator) -> np.ndarray:
     places = np.empty((len(supply.shape), supply.units), int)
     for group in set(supply.group):
         slots = supply.slots(group)
-        pool = rng.permutation(copies(supply.pieces[slots[0]]))
+        pool = rng.permutation(copies(supply.stock(group)))
         for number, slot in enumerate(slots):
             places[slot] = pool[number * supply.units : (number + 1) * supply.units]
     return places
@@ -258,7 +262,8 @@ def _bounds(cost: np.ndarray, supply: Supply, pair: tuple[int, int], upper: floa
     """Bounds from one pair of slots, round by round."""
     kept = {supply.group[slot] for slot in pair if len(supply.slots(supply.group[slot])) == 1}
     priced = [group for group in sorted(set(supply.group)) if group not in kept]
-    prices = {group: np.zeros(len(supply.pieces[supply.slots(group)[0]])) for group in priced}
+    prices = {group: np.zeros(len(supply.stock(group))) for group in priced}
+    spare = {group: supply.stock(group).sum() - supply.units * len(supply.slots(group)) for group in priced}
     others = tuple(slot for slot in range(len(supply.shape)) if slot not in pair)
     allowed, best, pace = supply.allowed(), -np.inf, 1.0
     reduced_cost = np.where(allowed, cost, np.inf)
@@ -274,23 +279,18 @@ def _bounds(cost: np.ndarray, supply: Supply, pair: tuple[int, int], upper: floa
         chosen = np.array(assigned(np.where(np.isfinite(least), least, big), two))
         bound = least[chosen[:, 0], chosen[:, 1]].sum()
         used = {group: np.zeros(len(price)) for group, price in prices.items()}
-        rest = (
-            np.stack(
-                np.unravel_index(flat.argmin(axis=2)[chosen[:, 0], chosen[:, 1]], [total.shape[k] for k in others])
-            )
-            if others
-            else np.empty((0, len(chosen)), int)
-        )
+        best_rest = flat.argmin(axis=2)[chosen[:, 0], chosen[:, 1]]
+        rest = np.unravel_index(best_rest, [total.shape[k] for k in others]) if others else ()
         for group in priced:
             for slot in supply.slots(group):
                 places = chosen[:, pair.index(slot)] if slot in pair else rest[others.index(slot)]
                 np.add.at(used[group], places, 1)
         over = {}
         for group, price in prices.items():
-            pieces = supply.pieces[supply.slots(group)[0]]
+            pieces = supply.stock(group)
             bound -= price @ pieces
             over[group] = used[group] - pieces
-            if pieces.sum() > supply.units * len(supply.slots(group)):  # some may be left over: no price below 0
+            if spare[group]:  # some may be left over: no price below 0
                 over[group] = np.where((price <= 0) & (over[group] < 0), 0.0, over[group])
         pace *= 0.97
         if np.isfinite(bound):
@@ -302,7 +302,5 @@ def _bounds(cost: np.ndarray, supply: Supply, pair: tuple[int, int], upper: floa
                 yield best
         step = pace * max(upper - bound, 1e-12 * abs(upper)) / norm
         for group, price in prices.items():
-            pieces = supply.pieces[supply.slots(group)[0]]
             moved = price + step * over[group]
-            free = pieces.sum() == supply.units * len(supply.slots(group))
-            prices[group] = moved if free else np.maximum(moved, 0.0)
+            prices[group] = np.maximum(moved, 0.0) if spare[group] else moved

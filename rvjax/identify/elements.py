@@ -94,10 +94,8 @@ class Elements:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Name of each element, "field[i,j]"; scalars bare, nested fields dotted."""
-        names = []
-        for field, tolerance in self.population.active.items():
-            names += elements(field, tolerance.shape)
-        return tuple(names)
+        active = self.population.active.items()
+        return tuple(name for field, tolerance in active for name in elements(field, tolerance.shape))
 
     @cached_property
     def fields(self) -> tuple[str, ...]:

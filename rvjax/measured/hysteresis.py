@@ -15,7 +15,7 @@ COARSE = 1.01  # of the torque of lost motion: rounding
 ACROSS = 0.05  # of the larger extreme that the other one has to reach: less is a loop on one side
 
 
-def about(loop: Branches, torque: np.ndarray, angle: np.ndarray, rows: np.ndarray) -> tuple[Finding, ...]:
+def about(loop: Branches, torque: np.ndarray, angle: np.ndarray, rows: np.ndarray) -> Iterator[Finding]:
     """Properties of a loop.
 
     Args:
@@ -24,8 +24,15 @@ def about(loop: Branches, torque: np.ndarray, angle: np.ndarray, rows: np.ndarra
         angle: of the same samples, rad (n,).
         rows: of the file (n,).
     """
-    first, last = loop.part
-    return tuple(_about(loop, torque[first:last], angle[first:last], rows[first:last]))
+    torque, angle, rows = (values[slice(*loop.part)] for values in (torque, angle, rows))
+    cycle = loop.reads[0].cycle
+    ends = (cycle.first.start, cycle.first.end, cycle.second.end)
+    low, high = min(ends), max(ends)
+    yield from _cycles(loop, rows)
+    yield Finding("extreme torque", max(abs(low), abs(high)), "N m", f"cycle between {low:.4g} and {high:.4g} N m")
+    yield from _limits(loop, low, high)
+    yield from _gap(loop)
+    yield from _values(loop, low, high, torque, angle)
 
 
 def used(loop: Branches, count: int) -> np.ndarray:
@@ -47,22 +54,6 @@ def used(loop: Branches, count: int) -> np.ndarray:
                 start = loop.part[0] + read.jump + 1
                 branch[start : start + lost] = 0
     return branch
-
-
-def _about(loop: Branches, torque: np.ndarray, angle: np.ndarray, rows: np.ndarray) -> Iterator[Finding]:
-    low, high = _extremes(loop)
-    yield from _cycles(loop, rows)
-    yield Finding("extreme torque", max(abs(low), abs(high)), "N m", f"cycle between {low:.4g} and {high:.4g} N m")
-    yield from _limits(loop, low, high)
-    yield from _gap(loop)
-    yield from _values(loop, low, high, torque, angle)
-
-
-def _extremes(loop: Branches) -> tuple[float, float]:
-    """Lowest and highest torque of the cycle."""
-    cycle = loop.reads[0].cycle
-    ends = (cycle.first.start, cycle.first.end, cycle.second.end)
-    return min(ends), max(ends)
 
 
 def _cycles(loop: Branches, rows: np.ndarray) -> Iterator[Finding]:

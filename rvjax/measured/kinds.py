@@ -206,7 +206,7 @@ class Hysteresis(Kind):
         loop = branches(f"{table.source}: {unit}loop", torque, angle)
         return Loop(
             *(table.source, at, loop.torque, loop.midline, loop.width, loop.sd, bool(loop.clipped_at)),
-            findings=about(loop, torque, angle, table.rows[rows]),
+            findings=tuple(about(loop, torque, angle, table.rows[rows])),
             recorded=Recorded(torque, angle, used(loop, len(torque))),
         )
 
