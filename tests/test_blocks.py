@@ -112,7 +112,7 @@ def test_calls_of_a_gpu_are_larger_and_give_the_same(monkeypatch, platform, solv
     for name in ("_solved", "_pulled"):
         monkeypatch.setattr(derivatives, name, noting(getattr(derivatives, name)))
     response = Costly(2.0)
-    values, status, state = derivatives.solution(response, POPULATION, 300, take)
+    values, status, state = derivatives.solve(response, POPULATION, 300, take)
     slopes = derivatives.pulls(response, POPULATION, errors, state, np.ones((1, 300)))
     assert seen == [solved] * -(-300 // solved) + [sloped] * -(-300 // sloped)
     np.testing.assert_allclose(values[0], 2 * np.sin(errors[0]) + errors[1] ** 2, rtol=1e-14)
@@ -128,9 +128,9 @@ def test_units_go_to_the_devices_that_are_named_and_nothing_else_does():
     with units_on(here):
         assert units_devices() == here and mesh_of(256) is None
         placed = of_chunk()
-        (solved,) = derivatives.solve(Costly(2.0), POPULATION, 5, lambda units: jnp.zeros((2, len(units))))
+        (values, *_) = derivatives.solve(Costly(2.0), POPULATION, 5, lambda units: jnp.zeros((2, len(units))))
         assert not jnp.zeros(3).committed
-    assert placed.committed and not plain.committed and solved.values["y"].shape == (5,)
+    assert placed.committed and not plain.committed and values.shape == (1, 5)
     np.testing.assert_array_equal(placed, plain)
     assert sizes.platform_of([1.0, placed]) == "cpu" and units_devices() == jax.local_devices()
 

@@ -87,7 +87,8 @@ def test_moments_of_directed_vectors(concentration):
         assert found[k].shape == (3, 2)
         np.testing.assert_allclose(found[k][1], expected, atol=1e-7)  # quadrature over a root at 0 magnitude
     covariance = (moved[0] * moved[1]) @ weights
-    assert tolerance.law.coupling(tolerance) * np.sqrt(found[1][0].prod()) == pytest.approx(covariance, abs=1e-7)
+    coupling = tolerance.law.correlation(tolerance)[0, 1]
+    assert coupling * np.sqrt(found[1][0].prod()) == pytest.approx(covariance, abs=1e-7)
 
 
 def test_no_concentration_is_the_law_of_plain_vectors():

@@ -105,7 +105,7 @@ def rooted(e):
 def test_slopes_of_solved_units_come_from_their_state():
     """They are those of the whole function; at another state they are those of that state: nothing is solved again."""
     part, z = Part(Costly(rooted), population(1.0)), np.random.default_rng(0).normal(size=(13, 300))
-    values, status, state = part.solution(population(1.2), z)
+    values, status, state = part.solve(population(1.2), z)
     own = np.asarray(elements(population(1.2), jnp.asarray(z)))
     errors = {"x": own[:6], "y": own[6:12], "z": own[12]}
     a = 2 + errors["x"][0] * errors["y"][1]
@@ -116,7 +116,7 @@ def test_slopes_of_solved_units_come_from_their_state():
     due[0], due[7] = (weights[1] * errors[n][k] / (2 * np.sqrt(a)) for n, k in (("y", 1), ("x", 0)))
     scaled = weights[0] * a
     due[1], due[12] = scaled * np.cos(errors["x"][1]) * errors["z"], scaled * np.sin(errors["x"][1])
-    np.testing.assert_allclose(part.slopes(population(1.2), z, state, weights), due, atol=1e-12)
+    np.testing.assert_allclose(part.slopes_of_elements(population(1.2), own, state, weights), due, atol=1e-12)
     found, slopes = gradients(
         part.response, population(1.2), np.repeat(own, 2, axis=1), np.repeat(weights, 2, 1), part.names
     )
@@ -125,4 +125,4 @@ def test_slopes_of_solved_units_come_from_their_state():
     doubled = np.where(np.isclose(state, np.sqrt(a), rtol=1e-9), 2 * state, state)
     assert (doubled != state).sum() == 300
     due[0], due[7] = due[0] / 2, due[7] / 2
-    np.testing.assert_allclose(part.slopes(population(1.2), z, doubled, weights), due, atol=1e-12)
+    np.testing.assert_allclose(part.slopes_of_elements(population(1.2), own, doubled, weights), due, atol=1e-12)

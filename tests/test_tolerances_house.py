@@ -28,7 +28,7 @@ from rvjax.tolerances import (
     save,
     worst_case,
 )
-from rvjax.tolerances.limits import KINDS, Limits, Pull
+from rvjax.tolerances.limits import KINDS, Limits
 from rvjax.tolerances.requirements import CpkAtLeast, MeanWithin
 from rvjax.units import um
 from tests.oracles.responses import Linear
@@ -58,13 +58,12 @@ class SdBelow(Limits):
     goal = "sd"
     sd: float = 1.0
 
-    def learned(self, values, distance):
+    def learned(self, values):
         return np.nanstd(values, ddof=1) - self.sd
 
-    def pull(self, values, margin, distance, lanes):
+    def pull(self, values):
         spread = values - np.nanmean(values)
-        slope = spread / np.nanstd(values, ddof=1)
-        return Pull(np.arange(len(values)), slope, np.ones(len(values)))
+        return np.arange(len(values)), spread / np.nanstd(values, ddof=1) / len(values)
 
     def figure(self, sampled):
         return sampled.sd()

@@ -116,14 +116,14 @@ def test_a_linear_response_has_the_closed_form_without_more_units(monkeypatch):
 def test_a_costly_response_needs_a_hundred_units_for_each_error():
     """The shares of a life whose slopes to ring and disc are 0 at the nominal unit, with a few hundred solved units."""
     solved = []
-    part = influence.Part.solution
+    part = influence.Part.solve
 
     def counted(self, population, z):
         solved.append(z.shape[1])
         return part(self, population, z)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(influence.Part, "solution", counted)
+        patch.setattr(influence.Part, "solve", counted)
         found = influences(costly, CENTRES)[""]
     assert sum(solved) == (1 + 3) * influence.COSTLY_UNITS
     for name, share in parts_of(EFFECTS).items():

@@ -80,16 +80,15 @@ def test_margins_and_their_slopes():
     values = np.random.default_rng(1).normal(3 * um, 5 * um, 500)
     values[7] = math.nan
     for requirement in (CPK, MeanWithin(lower=-1 * um), SdAtMost(upper=4 * um)):
-        margin = requirement.learned(values, LIMIT)
-        pull = requirement.pull(values, margin, LIMIT, 500)
-        assert 7 not in pull.units[pull.norms > 0]
+        units, slopes = requirement.pull(values)
+        assert 7 not in units
         direction = np.random.default_rng(2).normal(size=500)
-        slope = (pull.cotangents * direction[pull.units]).sum() / pull.norms.sum()
+        slope = slopes @ direction[units]
         step = 1e-4 * um
-        moved = [requirement.learned(values + s * step * direction, LIMIT) for s in (1, -1)]
+        moved = [requirement.learned(values + s * step * direction) for s in (1, -1)]
         assert slope == pytest.approx((moved[0] - moved[1]) / (2 * step), rel=1e-6)
     empty = np.full(5, math.nan)
-    assert [item.learned(empty, 1.0) for item in (CPK, MeanWithin(upper=1.0))] == [math.inf, math.inf]
+    assert [item.learned(empty) for item in (CPK, MeanWithin(upper=1.0))] == [math.inf, math.inf]
 
 
 def capable(found, target):
@@ -166,10 +165,10 @@ def test_failed_units_are_no_way_to_meet_a_mean_or_a_capability(requirement, tho
     assert monte_carlo(failing(0.0035), PAIR, samples=100_000, seed=5, requirements=AT_99).verdicts.met
     values = np.zeros(10_000)
     values[:27] = math.nan
-    assert requirement.learned(values, LIMIT) < 0
+    assert requirement.learned(values) < 0
     values[27] = math.nan
-    assert requirement.learned(values, LIMIT) == requirement.shortfall(values, 0.0) == math.inf
-    assert requirement.pull(values, math.inf, LIMIT, 9).units.size == 0
+    assert requirement.learned(values) == requirement.shortfall(values, 0.0) == math.inf
+    assert requirement.pull(values)[0].size == 0
     often = Failing(linear.slopes, {"a": 0.2 * um, "b": 1.0})  # half of the units, at the finest of 1 um
     refused = allocate(often, PAIR, requirement, **FEW)
     assert refused.status == "INFEASIBLE" and refused.shortfall == math.inf and not refused.certificate.verdicts.met
@@ -214,7 +213,7 @@ def test_the_certified_margin_is_where_a_share_just_proves_its_target(limits):
 def test_an_infinite_life_is_no_margin_to_search_by():
     """Of shares `test_tolerances_tails.py` has the quantile."""
     lives = np.r_[np.full(60, np.inf), np.linspace(9.5, 8.5, 40)]
-    assert MeanWithin(lower=1.0).learned(lives, 2.0) == math.inf  # too many units that no mean includes
+    assert MeanWithin(lower=1.0).learned(lives) == math.inf  # too many units that no mean includes
     endless = Estimate(math.inf, 0.0, math.inf, math.inf)
     assert WorstCaseWithin(lower=1.0).holds(endless) and not WorstCaseWithin(upper=1.0).holds(endless)
     one = {"a": Tolerance.symmetric(3.0)}

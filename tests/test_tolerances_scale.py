@@ -22,7 +22,7 @@ from scipy.stats import qmc
 
 from rvjax.population import Population
 from rvjax.population.sampling import SCRAMBLES, SobolPoints
-from rvjax.response import evaluator
+from rvjax.response import Evaluator
 from rvjax.status import Status
 from rvjax.tolerances import Requirement, sample
 
@@ -115,7 +115,7 @@ def test_fewer_sobol_units_than_scrambles(samples):
 @pytest.mark.parametrize("first", [2**32 - 300, 3 * 2**32 - 1000, 10**10])
 def test_units_beyond_32_bits_are_others(first):
     """In a chunk across the end of the 32 bits too; each is the one that `sample` gives."""
-    study = evaluator(smooth, Population.of(STACK), 3, "random", 1000, ("y",))
+    study = Evaluator(smooth, Population.of(STACK), 3, "random", 1000, ("y",))
     drawn = study.errors(first)["a"]
     for unit in (0, 299, 300, 999):
         assert sample(STACK, first + unit, seed=3)["a"] == drawn[unit], unit

@@ -111,13 +111,14 @@ class VonMises(Rayleigh):
         """Never, for a concentration of 0 either: the numbers of a pair are mapped together."""
         return False
 
-    def coupling(self, tolerance: Tolerance) -> float:
-        """E[rho^2 cos a sin a] - E x E y over both standard deviations."""
+    def correlation(self, tolerance: Tolerance) -> np.ndarray:
+        """Of both components: E[rho^2 cos a sin a] - E x E y over both standard deviations."""
         first, second = (np.reshape(m, (-1, 2))[0] for m in self.moments(tolerance)[:2])
         square = raw_rayleigh(float(tolerance.upper) / (3 * float(tolerance.cp)))[1]
         shared = square * self._ratio(2) * math.sin(2 * float(self.direction)) / 2 - first[0] * first[1]
         spread = math.sqrt(second[0] * second[1])
-        return shared / spread if spread else 0.0
+        both = shared / spread if spread else 0.0
+        return np.array([[1.0, both], [both, 1.0]])
 
     def check(self, tolerance: Tolerance) -> None:
         """Check as for Rayleigh; the concentration must be a number."""

@@ -202,39 +202,42 @@ class Sampled:
         """Return the standard deviation."""
         return self._figure(lambda m: m.sd, lambda m: m.sd_estimate(self.confidence))
 
+    def _capability(self, limits: Capable, place: int, spread: Callable[[float, CentralMoments], Estimate]) -> Estimate:
+        """Number `place` of the capabilities; `spread` gives the estimate of a finite one of independent units."""
+
+        def of(m: CentralMoments) -> float:
+            return limits.capability(m.mean, m.sd)[place] if m.n > 1 else math.nan
+
+        def alone(m: CentralMoments) -> Estimate:
+            value = of(m)
+            if not math.isfinite(value):  # one limit, no spread, or no two units
+                return Estimate(value, 0.0 if math.isinf(value) else math.nan, value, value)
+            return spread(value, m)
+
+        return self._figure(of, alone)
+
     def cp(self, limits: Capable) -> Estimate:
         """Cp = (U - L)/(6 sd) of two limits; its ends are those of the sd."""
 
-        def of(m: CentralMoments) -> float:
-            return limits.capability(m.mean, m.sd)[0] if m.n > 1 else math.nan
-
-        def alone(m: CentralMoments) -> Estimate:
-            value, sd = of(m), m.sd_estimate(self.confidence)
-            if not math.isfinite(value):  # one limit, no spread, or no two units
-                return Estimate(value, 0.0 if math.isinf(value) else math.nan, value, value)
+        def spread(value: float, m: CentralMoments) -> Estimate:
+            sd = m.sd_estimate(self.confidence)
             upper = value * sd.value / sd.lower if sd.lower > 0 else math.inf
             return Estimate(value, value * sd.error / sd.value, value * sd.value / sd.upper, upper)
 
-        return self._figure(of, alone)
+        return self._capability(limits, 0, spread)
 
     def cpk(self, limits: Capable) -> Estimate:
         """Cpk = margin/(3 sd) of limits."""
 
-        def of(m: CentralMoments) -> float:
-            return limits.capability(m.mean, m.sd)[1] if m.n > 1 else math.nan
-
-        def alone(m: CentralMoments) -> Estimate:
-            value = of(m)
-            if not math.isfinite(value):  # no spread, or no two units
-                return Estimate(value, 0.0 if math.isinf(value) else math.nan, value, value)
+        def spread(value: float, m: CentralMoments) -> Estimate:
             # d Cpk = (-o dm - 3 Cpk ds)/(3 s), with var m = m2/n, var s of any distribution, cov(m, s) = m3/(2 s n).
-            s, spread = m.sd, m.sd_estimate(self.confidence).error
+            s, sd_error = m.sd, m.sd_estimate(self.confidence).error
             o = float(limits.outward(m.mean))  # +1 where the margin falls with the mean, -1 where it grows
-            variance = s**2 / m.n + (3 * value * spread) ** 2 + 2 * o * 3 * value * m.s3 / m.n / (2 * s * m.n)
+            variance = s**2 / m.n + (3 * value * sd_error) ** 2 + 2 * o * 3 * value * m.s3 / m.n / (2 * s * m.n)
             error = math.sqrt(max(0.0, variance)) / (3 * s)
             return Estimate.about(value, error, deviate_of(self.confidence))
 
-        return self._figure(of, alone)
+        return self._capability(limits, 1, spread)
 
     def failed(self) -> Estimate:
         """Return the share of units that moments exclude: failed ones, and those whose response is infinite."""

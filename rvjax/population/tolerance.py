@@ -74,13 +74,9 @@ class Distribution(Record):
         """
         return dict(lower=tolerance.middle - half_width, upper=tolerance.middle + half_width)
 
-    def coupling(self, tolerance: "Tolerance") -> float:
-        """Correlation of the two components of one vector."""
-        return 0.0
-
     def correlation(self, tolerance: "Tolerance") -> np.ndarray:
         """Correlation of the errors along the last axis, where the distribution couples them."""
-        return np.array([[1.0, self.coupling(tolerance)], [self.coupling(tolerance), 1.0]])
+        raise NotImplementedError
 
     def check(self, tolerance: "Tolerance") -> None:
         """Raise a ValueError for limits or parameters that do not fit; numbers may be tracers."""
@@ -266,11 +262,6 @@ class Tolerance(Record):
     def distribution(self) -> str:
         """Name of the distribution."""
         return self.law.name
-
-    @property
-    def beta(self) -> tuple[float, float] | None:
-        """Shape (p, q) of the beta distribution, None for the others."""
-        return getattr(self.law, "beta", None)
 
     @property
     def middle(self) -> Scalar:

@@ -9,7 +9,6 @@ from rvjax.response.parts import (
     Evaluator as Evaluator,
     Part as Part,
     Whole as Whole,
-    evaluator as evaluator,
     parts as parts,
     status_without_errors as status_without_errors,
     unit_at_mid_points as unit_at_mid_points,

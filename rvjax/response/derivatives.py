@@ -7,7 +7,7 @@ so the iteration is compiled once.
 
 import functools
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -35,15 +35,7 @@ Errors = Callable[[np.ndarray], jax.Array]  # of the indices of some units
 Solution = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
-class Units(NamedTuple):
-    """Some solved units; `state` (numbers, n) is what their gradients need."""
-
-    values: Values
-    status: jax.Array
-    state: jax.Array
-
-
-def solve(response: Response, population: Population, count: int, errors: Errors) -> list[Units]:
+def solve(response: Response, population: Population, count: int, errors: Errors) -> Solution:
     """Solve some units, `SOLVED` in a call.
 
     Args:
@@ -53,28 +45,20 @@ def solve(response: Response, population: Population, count: int, errors: Errors
         errors: (elements, n) of the active fields, of n of the units.
 
     Returns:
-        Units of each call, as NumPy arrays.
+        Values (k, n) by `response_names`, status (n,) and state (numbers, n), which is what their gradients need.
     """
-    size = _solved_together()
-    mesh, running = mesh_of(size), []
+    size, names = SOLVED.on(units_devices()[0].platform), response_names(response, population)
+    mesh, running, rows = mesh_of(size), [], []
     place = np.arange(size).reshape(1 if mesh is None else mesh.size, -1)  # of each unit, one device after another
     unit = np.argsort(place.T.ravel())
     for first in range(0, count, size):
-        rows = on(mesh, jnp.where(first + unit < count, errors(np.minimum(first + unit, count - 1)), jnp.nan))
-        running.append(Units(*_solved(response, population, rows, mesh=mesh)))
-    order = place.T.ravel()
-    return [
-        jax.tree.map(lambda x, n=count - number * size: np.asarray(x)[..., order[:n]], found)
-        for number, found in enumerate(running)
-    ]
-
-
-def solution(response: Response, population: Population, count: int, errors: Errors) -> Solution:
-    """Values (k, n) by `response_names`, status (n,) and state (numbers, n) of some units, as in `solve`."""
-    found, names = solve(response, population, count, errors), response_names(response, population)
-    values = [np.stack([np.asarray(each.values[name], float) for name in names]) for each in found]
-    rows = values, [each.status for each in found], [each.state for each in found]
-    return tuple(np.concatenate(parts, axis=-1) for parts in rows)  # type: ignore[return-value]
+        given = jnp.where(first + unit < count, errors(np.minimum(first + unit, count - 1)), jnp.nan)
+        running.append(_solved(response, population, on(mesh, given), mesh=mesh))
+    for named, *others in running:
+        found = np.stack([np.asarray(named[name], float) for name in names]), *map(np.asarray, others)
+        rows.append([each[..., place.T.ravel()] for each in found])
+    values, status, state = (np.concatenate(parts, axis=-1)[..., :count] for parts in zip(*rows))
+    return values, status, state
 
 
 def pulls(
@@ -88,7 +72,7 @@ def pulls(
         response: as in `solve`.
         population: as in `solve`.
         errors: (elements, n).
-        state: (numbers, n) of these units, by `solution`.
+        state: (numbers, n) of these units, by `solve`.
         cotangents: (k, n), values by `response_names`.
     """
     size, dtype, found = sloped_together(), jnp.result_type(float), []
@@ -98,11 +82,6 @@ def pulls(
         rows = [on(mesh, each) for each in given]
         found.append(_pulled(response, population, *rows, mesh=mesh))
     return np.concatenate([np.asarray(row, float) for row in found], axis=1)[:, : errors.shape[1]]
-
-
-def _solved_together() -> int:
-    """Units of a call that solves them, on their devices."""
-    return SOLVED.on(units_devices()[0].platform)
 
 
 def sloped_together() -> int:
@@ -120,25 +99,20 @@ def _unit(
 _unit_of_record = jax.jit(_unit)  # the program of the slopes need not trace it again
 
 
-class _Traced(NamedTuple):
-    """One unit, traced, and its first arguments."""
-
-    marked: Marked
-    first: tuple[Record, ...]
-
-    @classmethod
-    def of(cls, response: Response, population: Population, errors: jax.Array, free: dict[str, jax.Array]) -> "_Traced":
-        """The unit of these responses; a plain function is no argument."""
-        plain = not isinstance(response, Record)
-        function: Any = functools.partial(_unit, response) if plain else _unit_of_record
-        first: Any = (population,) if plain else (response, population)
-        return cls(Marked.of(function, *first, jax.ShapeDtypeStruct(errors.shape[:1], errors.dtype), free), first)
+def _traced(
+    response: Response, population: Population, errors: jax.Array, free: dict[str, jax.Array]
+) -> tuple[Marked, tuple[Record, ...]]:
+    """One unit, traced, and its first arguments; a plain function is none."""
+    plain = not isinstance(response, Record)
+    function: Any = functools.partial(_unit, response) if plain else _unit_of_record
+    first: Any = (population,) if plain else (response, population)
+    return Marked.of(function, *first, jax.ShapeDtypeStruct(errors.shape[:1], errors.dtype), free), first
 
 
 @per_response(shared=(UNITS, UNITS, NUMBERS))
 def _solved(response: Response, population: Population, errors: jax.Array) -> tuple[Values, jax.Array, jax.Array]:
     free = _free(population, errors)
-    unit, first = _Traced.of(response, population, errors, free)
+    unit, first = _traced(response, population, errors, free)
 
     def one(vector: jax.Array) -> tuple[Values, jax.Array, jax.Array]:
         (values, status), state = unit.with_state(*first, vector, free)
@@ -153,7 +127,7 @@ def _pulled(
     response: Response, population: Population, errors: jax.Array, state: jax.Array, cotangents: jax.Array
 ) -> jax.Array:
     free = _free(population, errors)
-    unit, first = _Traced.of(response, population, errors, free)
+    unit, first = _traced(response, population, errors, free)
     names = response_names(response, population)
 
     def one(vector: jax.Array, state: jax.Array, cotangent: jax.Array) -> jax.Array:
@@ -183,8 +157,7 @@ def pulled(
     """
 
     def values(vector: jax.Array, free: dict[str, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        there = population.replace(values=free) if free else population
-        found, status = evaluate(response, there.fill(there.by_field(vector)))
+        found, status = _unit(response, population, vector, free)
         return jnp.stack([found[name] for name in names]), status
 
     def one(vector: jax.Array, cotangent: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -192,8 +165,7 @@ def pulled(
         slope, to_free = pull(cotangent)
         return found, status, jnp.concatenate([slope, jnp.stack(list(to_free.values()))]) if to_free else slope
 
-    free = {name: jnp.asarray(value, errors.dtype) for name, value in sorted((population.values or {}).items())}
-
+    free = _free(population, errors)
     return jax.vmap(one, in_axes=-1, out_axes=-1)(errors, cotangents)
 
 
@@ -224,7 +196,7 @@ def gradients(
         rows = np.array([names_of.index(name) for name in names])
         weights = np.zeros((len(names_of), errors.shape[1]))
         weights[rows] = cotangents
-        values, _, state = solution(response, population, own.shape[1], lambda lanes: jnp.asarray(own[:, lanes]))
+        values, _, state = solve(response, population, own.shape[1], lambda lanes: jnp.asarray(own[:, lanes]))
         units = inverse.ravel()
         return values[rows][:, units], pulls(response, population, errors, state[:, units], weights)
     found, dtype = [], jnp.result_type(float)
@@ -254,7 +226,8 @@ def one_unit(response: Response, population: Population, errors: np.ndarray) -> 
 @jax.jit
 def elements(population: Population, z: jax.Array) -> jax.Array:
     """Errors (elements, n) of the active fields, one after the other, from z (numbers, n)."""
-    return _rows(population.deviations(z), z)
+    own = population.deviations(z).values()
+    return jnp.concatenate([jnp.zeros((0, z.shape[-1]), z.dtype), *(v.reshape(-1, z.shape[-1]) for v in own)])
 
 
 def elements_and_rates(
@@ -281,12 +254,6 @@ def _elements_and_rates(
     population: Population, half_widths: dict[str, jax.Array], z: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     def errors(t: dict[str, jax.Array]) -> jax.Array:
-        return _rows(population.with_half_widths(t).deviations(z), z)
+        return elements(population.with_half_widths(t), z)
 
     return jax.jvp(errors, (half_widths,), (jax.tree.map(jnp.ones_like, half_widths),))
-
-
-def _rows(deviations: dict[str, jax.Array], z: jax.Array) -> jax.Array:
-    return jnp.concatenate(
-        [jnp.zeros((0, z.shape[-1]), z.dtype), *(v.reshape(-1, z.shape[-1]) for v in deviations.values())]
-    )

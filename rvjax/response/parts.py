@@ -13,16 +13,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax._jax.sizes import AT_ONCE, PULLED, calls
+from rvjax._jax.sizes import AT_ONCE, calls
 from rvjax.population import TURN, Population, SobolPoints, drawn, key_of, root_key
 from rvjax.response.derivatives import (
-    Errors,
     Solution,
     elements,
     gradients,
     one_unit,
     pulls,
-    solution,
     solve,
 )
 from rvjax.response.response import (
@@ -37,7 +35,7 @@ from rvjax.response.response import (
     response_names,
     units_devices,
 )
-from rvjax.status import Status, succeeded, worst
+from rvjax.status import succeeded, worst
 
 
 class Part:
@@ -50,62 +48,33 @@ class Part:
 
     def __init__(self, response: Response, population: Population) -> None:
         self.response, self.names = response, response_names(response, population)
-        self.solved = 0
-        """Units solved so far."""
 
     def solve(self, population: Population, z: np.ndarray) -> Solution:
         """Values (k, n) by `names`, status (n,) and state of the units with random numbers z (numbers, n)."""
-        return self._of(population, z.shape[1], _drawn(population, z))
-
-    def solution(self, population: Population, z: np.ndarray) -> Solution:
-        """Values (k, n), status (n,) and state (numbers, n): what `slopes` of these units need.
-
-        An infinite value is a failure here: no line through other values foresees it.
-        """
-        values, status, state = self._of(population, z.shape[1], _drawn(population, z))
-        endless = succeeded(np.asarray(status)) & np.isinf(values).any(axis=0)
-        return values, np.where(endless, int(Status.NONFINITE), status).astype(np.int32), state
-
-    def slopes(self, population: Population, z: np.ndarray, state: np.ndarray, cotangents: np.ndarray) -> np.ndarray:
-        """Gradients (elements, n) of weighted values of solved units, which are not solved again.
-
-        Args:
-            population: of the units.
-            z: random numbers (numbers, n).
-            state: of these units, by `solution`.
-            cotangents: weights (k, n) of the values.
-        """
-        own = _drawn(population, z)
-        errors = np.concatenate([np.asarray(own(lanes)) for lanes in calls(z.shape[1], PULLED)], axis=1)[
-            :, : z.shape[1]
-        ]
-        return self.slopes_of_elements(population, errors, state, cotangents)
+        return solve(self.response, population, z.shape[1], lambda lanes: elements(population, z[:, lanes]))
 
     def slopes_of_elements(
         self, population: Population, errors: np.ndarray, state: np.ndarray, cotangents: np.ndarray
     ) -> np.ndarray:
-        """The same of units with errors (elements, n).
+        """Gradients (elements, n) of weighted values of solved units, which are not solved again.
 
         Args:
             population: of the units.
-            errors: of the units.
-            state: of these units, by `of_elements`.
+            errors: of the units (elements, n).
+            state: of these units, by `solve` or `of_elements`.
             cotangents: weights (k, n) of the values.
         """
         return pulls(self.response, population, errors, state, cotangents)
 
     def of_elements(self, population: Population, errors: np.ndarray) -> Solution:
         """Values (k, n) by `names`, nan where a unit failed, status and state, of units with errors (elements, n)."""
-        values, status, state = self._of(population, errors.shape[1], lambda lanes: jnp.asarray(errors[:, lanes]))
+        values, status, state = self._of(population, errors)
         return np.where(succeeded(np.asarray(status)), values, np.nan), status, state
 
     def rows(self, population: Population, z: np.ndarray, name: str) -> np.ndarray:
         """Numbers name[0], name[1] ... (n, numbers) among the values of units with random numbers z (numbers, n)."""
-        self.solved += z.shape[1]
-        found = solve(self.response, population, z.shape[1], _drawn(population, z))
-        length = sum(key.startswith(f"{name}[") for key in found[0].values)
-        rows = [np.stack([each.values[f"{name}[{k}]"] for k in range(length)]) for each in found]
-        return np.concatenate(rows, axis=1).T
+        length = sum(key.startswith(f"{name}[") for key in self.names)
+        return self.solve(population, z)[0][[self.names.index(f"{name}[{k}]") for k in range(length)]].T
 
     def one(self, population: Population, errors: np.ndarray) -> tuple[np.ndarray, int]:
         """Values (k,) and status of the unit with errors (elements,), by the program of all the others.
@@ -114,14 +83,11 @@ class Part:
             population: of the units.
             errors: of the unit.
         """
-        values, status, _ = self._of(
-            population, 1, lambda lanes: jnp.asarray(np.repeat(errors[:, None], len(lanes), axis=1))
-        )
+        values, status, _ = self._of(population, errors[:, None])
         return values[:, 0], int(status[0])
 
-    def _of(self, population: Population, count: int, errors: Errors) -> Solution:
-        self.solved += count
-        return solution(self.response, population, count, errors)
+    def _of(self, population: Population, errors: np.ndarray) -> Solution:
+        return solve(self.response, population, errors.shape[1], lambda lanes: jnp.asarray(errors[:, lanes]))
 
 
 class Whole(Part):
@@ -142,8 +108,6 @@ class Whole(Part):
         values, status = (np.concatenate(rows, axis=-1)[..., : z.shape[1]] for rows in zip(*found))
         return values, status, np.zeros((0, z.shape[1]))
 
-    solution = solve
-
     def slopes_of_elements(
         self, population: Population, errors: np.ndarray, state: np.ndarray, cotangents: np.ndarray
     ) -> np.ndarray:
@@ -153,10 +117,6 @@ class Whole(Part):
     def one(self, population: Population, errors: np.ndarray) -> tuple[np.ndarray, int]:
         """The same, by the program of the gradients."""
         return one_unit(self.response, population, errors)
-
-
-def _drawn(population: Population, z: np.ndarray) -> Errors:
-    return lambda lanes: elements(population, z[:, lanes])
 
 
 def parts(response: Response, population: Population, chunk: int = BLOCK) -> list[Part]:
@@ -177,9 +137,29 @@ def parts(response: Response, population: Population, chunk: int = BLOCK) -> lis
 class Evaluator:
     """Evaluates chunks of one study; devices compute while the host continues."""
 
-    def __init__(self, response: Response, population: Population, seed: int, method: str, chunk: int) -> None:
-        """Checked inputs of an evaluation, as in `monte_carlo`; `chunk` units at once."""
+    def __init__(
+        self,
+        response: Response,
+        population: Population,
+        seed: int,
+        method: str,
+        chunk: int,
+        names: tuple[str, ...] | None = None,
+    ) -> None:
+        """Checked inputs of an evaluation, as in `monte_carlo`.
+
+        Args:
+            response: of one unit.
+            population: of the units.
+            seed: of the random numbers.
+            method: of the random numbers.
+            chunk: units at once.
+            names: of the outputs that are wanted, None for all; parts of a costly response without any of them are not
+                solved. Its programs are those of an allocation, if one was run before.
+        """
         self._response, self._population, self._key = response, population, root_key(seed)
+        own = parts(response, population) if is_costly(response) else []
+        self._parts = [part for part in own if names is None or set(part.names) & set(names)]
         self._points = SobolPoints(population.numbers, seed) if method == "sobol" else None
         devices = units_devices()
         self._mesh = jax.sharding.Mesh(np.array(devices), ("units",)) if len(devices) > 1 else None
@@ -188,14 +168,17 @@ class Evaluator:
         # Every device gets the same number of units; those past the end of the chunk are never looked at.
         self._count = -(-chunk // len(devices)) * len(devices)
 
-    @property
-    def shared(self) -> bool:
-        """True if several devices share each chunk."""
-        return self._mesh is not None
-
     def start(self, first: int) -> tuple[Values, jax.Array]:
-        """Values and status of the chunk that begins with unit `first`, still being computed."""
-        return respond(self._response, self._population, self.z(first), mesh=self._mesh)
+        """Values and status of the chunk that begins with unit `first`; still being computed if units are quick."""
+        if not self._parts:
+            return respond(self._response, self._population, self.z(first), mesh=self._mesh)
+        z, values, status = np.asarray(self.z(first)), dict[str, Any](), []
+        for part in self._parts:
+            rows, own, _ = part.solve(self._population, z)
+            values |= dict(zip(part.names, rows))
+            status.append(own)
+        flags: Any = worst(np.stack(status), axis=0)  # on the host
+        return values, flags
 
     def errors(self, first: int) -> dict[str, np.ndarray]:
         """Sampled errors of the chunk that begins with unit `first`, by field (*shape, n)."""
@@ -235,44 +218,6 @@ def _drawn_on(
 
     specs = (EVERYWHERE, EVERYWHERE, EVERYWHERE)
     return jax.shard_map(part, mesh=mesh, in_specs=specs, out_specs=NUMBERS, check_vma=False)(population, key, first)
-
-
-class InParts(Evaluator):
-    """Chunks of a costly response, by the programs of its parts: those of an allocation, if one was run before."""
-
-    def __init__(
-        self, response: Response, population: Population, seed: int, method: str, chunk: int, names: tuple[str, ...]
-    ) -> None:
-        super().__init__(response, population, seed, method, chunk)
-        self._parts = [part for part in parts(response, population) if set(part.names) & set(names)]
-
-    def start(self, first: int) -> tuple[Values, jax.Array]:
-        """Values and status of the chunk that begins with unit `first`."""
-        z, values, status = np.asarray(self.z(first)), dict[str, Any](), []
-        for part in self._parts:
-            rows, own, _ = part.solve(self._population, z)
-            values |= dict(zip(part.names, rows))
-            status.append(own)
-        flags: Any = worst(np.stack(status), axis=0)  # on the host
-        return values, flags
-
-
-def evaluator(
-    response: Response, population: Population, seed: int, method: str, chunk: int, names: tuple[str, ...]
-) -> Evaluator:
-    """Evaluator of the chunks of one study.
-
-    Args:
-        response: of one unit.
-        population: of the units.
-        seed: of the random numbers.
-        method: of the random numbers.
-        chunk: units at once.
-        names: of the outputs that are wanted; parts of a costly response without any of them are not solved.
-    """
-    if is_costly(response):
-        return InParts(response, population, seed, method, chunk, names)
-    return Evaluator(response, population, seed, method, chunk)
 
 
 def status_without_errors(response: Response, population: Population) -> int:

@@ -36,18 +36,10 @@ from rvjax.tolerances.influence import (
     Influence as Influence,
     influences as influences,
 )
-from rvjax.tolerances.limits import Limits as Limits
+from rvjax.tolerances.limits import KINDS as KINDS, Limits as Limits, Verdict
 from rvjax.tolerances.minimise import Minimum, minimise
 from rvjax.tolerances.moments import Moments, rss
-from rvjax.tolerances.requirements import (
-    KINDS as KINDS,
-    CpkAtLeast,
-    MeanWithin,
-    Requirement,
-    SdAtMost,
-    Verdict,
-    WorstCaseWithin,
-)
+from rvjax.tolerances.requirements import CpkAtLeast, MeanWithin, Requirement, SdAtMost, WorstCaseWithin
 from rvjax.tolerances.saving import RESULTS as RESULTS, Origin, load, origin, save
 from rvjax.tolerances.sobol_indices import SobolIndices, sobol_indices
 from rvjax.tolerances.worst_case import WorstCase, slopes_change_sign as slopes_change_sign, worst_case

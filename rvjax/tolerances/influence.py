@@ -91,11 +91,12 @@ def influences(
         count = units or (chunk if isinstance(part, Whole) else usual)
         z = numbers_of(population, root_key(seed), np.arange(2 * count))
         one, other = z[:, :count], z[:, count:]
-        about, new = (_errors(population, each) - spread.mean[:, None] for each in (one, other))
+        errors, others = _errors(population, one), _errors(population, other)
+        about, new = (each - spread.mean[:, None] for each in (errors, others))
         solver = _Solver(part, population)
         values, good, state = solver.solution(one)
         rows = [part.names.index(name) for name in wanted]
-        slopes = [solver.slopes(one, good, state, name) for name in wanted]
+        slopes = [solver.slopes(errors, good, state, k) for k in rows]
         values, changes = values[rows], None
         if not all(_is_linear(y[good], each, about[:, good]) for y, each in zip(values, slopes)):
             changes = solver.changed(one, other, advance)[:, rows] - values
@@ -121,17 +122,20 @@ class _Solver(NamedTuple):
     population: Population
 
     def solution(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Values (k, n), nan where a unit failed; which units have them (n,); and what their gradients need."""
-        values, status, state = self.part.solution(self.population, z)
+        """Values (k, n), nan where a unit failed; which units have them (n,); and what their gradients need.
+
+        An infinite value is a failure here: no line through other values foresees it.
+        """
+        values, status, state = self.part.solve(self.population, z)
         good = np.asarray(succeeded(status)) & np.isfinite(values).all(axis=0)
         return np.where(good, values, np.nan), good, state
 
-    def slopes(self, z: np.ndarray, good: np.ndarray, state: np.ndarray, name: str) -> np.ndarray:
-        """Gradients (n, elements) of one value of the first units, without those that have none."""
-        first = np.arange(min(PULLED, z.shape[1]))
+    def slopes(self, errors: np.ndarray, good: np.ndarray, state: np.ndarray, k: int) -> np.ndarray:
+        """Gradients (n, elements) of value k of the first units, without those that have none."""
+        first = np.arange(min(PULLED, errors.shape[1]))
         weights = np.zeros((len(self.part.names), len(first)))
-        weights[self.part.names.index(name)] = 1.0
-        found = self.part.slopes(self.population, z[:, first], state[:, first], weights).T
+        weights[k] = 1.0
+        found = self.part.slopes_of_elements(self.population, errors[:, first], state[:, first], weights).T
         return found[good[first] & np.isfinite(found).all(axis=1)]
 
     def changed(self, one: np.ndarray, other: np.ndarray, advance: Callable[[int], None]) -> np.ndarray:

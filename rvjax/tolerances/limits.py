@@ -26,21 +26,6 @@ MOST_FAILED = 0.0027
 
 
 @dataclasses.dataclass(frozen=True)
-class Pull:
-    """Derivative of a margin to some units: d margin = sum(cotangents dy) / sum(norms), over those with a slope.
-
-    Attributes:
-        units: (m,) numbers of units.
-        cotangents: (m,) weight of each unit's response.
-        norms: (m,) its part of the denominator.
-    """
-
-    units: np.ndarray
-    cotangents: np.ndarray
-    norms: np.ndarray
-
-
-@dataclasses.dataclass(frozen=True)
 class Verdict:
     """Result of the check of a requirement, with confidence.
 
@@ -73,7 +58,6 @@ class Limits:
     of_extremes: ClassVar[bool] = False  # it limits the worst case; units have no effect
     of_sample: ClassVar[bool] = True  # errors have an effect; False: it limits an output without errors
     exact: ClassVar[bool] = False  # its value has no sampling error
-    power: ClassVar[float] = 2.0  # of half-widths that add up: 2 as squares, 1 as they are
     most_failed: ClassVar[float] = MOST_FAILED  # share of failed units that its value excludes
     goal: ClassVar[str | None] = None  # the field of the target
     judges: ClassVar[str] = "number"  # "share" of units, "response" in its unit, or a plain number
@@ -172,23 +156,19 @@ class Limits:
 
     # Methods that each kind must define.
 
-    def learned(self, values: np.ndarray, distance: float) -> float:
+    def learned(self, values: np.ndarray) -> float:
         """Margin of the whole requirement on a sample, unit of the response: <= 0 is met.
 
         Args:
             values: (n,) of the units, nan where one failed.
-            distance: of the nominal response from the limit.
         """
         raise NotImplementedError
 
-    def pull(self, values: np.ndarray, margin: float, distance: float, lanes: int) -> Pull:
-        """Derivative of the margin to the units.
+    def pull(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Derivative of the margin to the units: numbers (m,) of those with a slope, and their slopes (m,).
 
         Args:
             values: as for `learned`.
-            margin: as `learned` gave it.
-            distance: as for `learned`.
-            lanes: sufficient number of units where only some matter.
         """
         raise NotImplementedError
 
@@ -258,7 +238,7 @@ class Limits:
             values: as for `learned`.
             joint_target: share of units that must meet all requirements, 0 for none.
         """
-        return max(0.0, self.learned(values, 1.0))
+        return max(0.0, self.learned(values))
 
     def text(self) -> str:
         """Text of the requirement, without the limits' numbers."""

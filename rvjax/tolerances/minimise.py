@@ -57,7 +57,7 @@ class _Sampled:
         given = np.array([population.active[name].half_width for name in self.fields], float)
         logs = jnp.asarray(np.log([*self.ends, np.clip(given, *self.ends)]), jnp.result_type(float))
         self.start, self.given = logs[2], _Priced(population, costs, logs[0], logs[1])
-        self._options = dict(fields=self.fields, objective=objective)
+        self.options: dict[str, Any] = dict(fields=self.fields, objective=objective)
 
     def units(self, seed: int, number: int) -> jax.Array:
         """Random numbers (numbers, samples) of a sample; its units follow those of the sample before."""
@@ -65,13 +65,7 @@ class _Sampled:
 
     def look(self, x: jax.Array, z: jax.Array) -> Look:
         """J, its gradient, and the number of failed units with random numbers z at x (fields,)."""
-        return _look(self.response, self.given, x, z, **self._options)
-
-    def step(
-        self, optimizer: "optax.GradientTransformation", state: object, x: jax.Array, z: jax.Array, look: Look
-    ) -> tuple[PyTree, jax.Array]:
-        """State of the optimiser and x after a step from x, where units with random numbers z have this look."""
-        return _step(self.response, self.given, x, z, state, *look[:2], optimizer=optimizer, **self._options)
+        return _look(self.response, self.given, x, z, **self.options)
 
     def half_widths(self, x: jax.Array) -> dict[str, float]:
         """Half-widths; at their ends without a rounding."""
@@ -79,10 +73,6 @@ class _Sampled:
         finest, coarsest = self.ends
         t = np.where(low, finest, np.where(high, coarsest, np.clip(t, finest, coarsest)))
         return dict(zip(self.fields, map(float, t)))
-
-    def cost(self, half_widths: Mapping[str, float]) -> float:
-        """Sum of costs."""
-        return float(total_cost(self.given.costs, jnp.asarray(list(half_widths.values()))))
 
 
 @per_response(static=("fields", "objective"))
@@ -308,14 +298,16 @@ def _descend(
     for step in range(steps):
         if fresh or step == 0:
             z = sampled.units(seed, step)
-        look = value, slope, failed = sampled.look(x, z)
+        value, slope, failed = sampled.look(x, z)
         history.append(float(value))
         if step == 0 and not math.isfinite(history[0]):
             count = f"{int(failed)} of {sampled.samples} units fail"
             raise ValueError(f"objective = {history[0]:.6g} at the start: must be finite; {count}")
         if not (math.isfinite(history[-1]) and np.isfinite(slope).all()):
             return x, history, False
-        state, x = sampled.step(optimizer, state, x, z, look)
+        state, x = _step(
+            sampled.response, sampled.given, x, z, state, value, slope, optimizer=optimizer, **sampled.options
+        )
         advance(1)
     return x, history, True
 
@@ -325,7 +317,7 @@ def _minimum(
 ) -> Minimum:
     """The result, from J and its gradient on independent samples; none where an earlier one was not finite."""
     t = sampled.half_widths(x)
-    cost = sampled.cost(t)
+    cost = float(total_cost(sampled.given.costs, jnp.asarray(list(t.values()))))
     value = gradient = Estimate.about(math.nan, math.nan, 0.0)
     status = Status.NONFINITE
     values, slopes = (np.array(rows, float) for rows in zip(*looks)) if looks else (np.array([math.nan]),) * 2

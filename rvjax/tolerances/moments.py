@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +24,7 @@ from rvjax.response import (
     response_names,
 )
 from rvjax.status import succeeded
-from rvjax.tolerances.requirements import Limits
+from rvjax.tolerances.limits import Limits
 
 _TERMS = 23  # of Hermite series
 _SEEN = 16384  # units behind mean and sd of a response with a kink
@@ -123,7 +122,7 @@ def _by_name(
             found[name] = _Propagated(float(value[k]), law.shares(gradient), gradient, "first order")
         else:
             mean = jnp.asarray(law.mean, jnp.result_type(float))
-            hessian = np.asarray(_hessian(response, population, mean, names=(name,)), float)
+            hessian = np.asarray(_hessian(response, population, mean, name=name), float)
             found[name] = _second_order(float(value[k]), gradient, hessian, law)
     return found
 
@@ -309,16 +308,6 @@ def _seen(response: Response, population: Population, name: str) -> tuple[float,
     return float(valid.mean()), float(valid.var(ddof=1))
 
 
-def _flat(response: Response, population: Population, names: tuple[str, ...]) -> Callable[[jax.Array], jax.Array]:
-    """Return the named values, stacked, as a function of all active elements in one vector."""
-
-    def function(vector: jax.Array) -> jax.Array:
-        values, _ = evaluate(response, population.fill(population.by_field(vector)))
-        return jnp.stack([values[n] for n in names])
-
-    return function
-
-
 def _derivatives(
     response: Response, population: Population, mean: np.ndarray, names: tuple[str, ...]
 ) -> tuple[np.ndarray, ...]:
@@ -338,7 +327,10 @@ def _derivatives(
     return values[:, 0], found[:, 0], found[:, 1 : 1 + _PROBES], found[:, 1 + _PROBES :], away, beyond
 
 
-@per_response(static=("names",))
-def _hessian(response: Response, population: Population, mean: jax.Array, *, names: tuple[str, ...]) -> jax.Array:
-    function = _flat(response, population, names)
-    return jax.hessian(lambda vector: function(vector)[0])(mean)
+@per_response(static=("name",))
+def _hessian(response: Response, population: Population, mean: jax.Array, *, name: str) -> jax.Array:
+    def value(vector: jax.Array) -> jax.Array:
+        values, _ = evaluate(response, population.fill(population.by_field(vector)))
+        return values[name]
+
+    return jax.hessian(value)(mean)

@@ -7,24 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from rvjax.population import Estimate, Sampled, score_interval, wilson
-from rvjax.tolerances.limits import (
-    KINDS,
-    MOST_FAILED,
-    Limits,
-    Pull,
-    Verdict,
-)
-
-__all__ = [
-    "KINDS",
-    "CpkAtLeast",
-    "Limits",
-    "MeanWithin",
-    "Requirement",
-    "SdAtMost",
-    "Verdict",
-    "WorstCaseWithin",
-]
+from rvjax.tolerances.limits import MOST_FAILED, Limits, Verdict
 
 _FEW_FAILED = f"< {100 * MOST_FAILED:g} % failed"
 
@@ -61,10 +44,6 @@ class Requirement(Limits):
     def holds(self, estimate: Estimate) -> bool:
         """The lower end of the yield reaches the target."""
         return estimate.lower >= self.target
-
-    def hopeless(self, samples: int, confidence: float) -> bool:
-        """False: where no sample can certify the target, a probability of failure may."""
-        return False
 
     def beyond(self, samples: int, confidence: float) -> bool:
         """A sample without rejects could not certify the target."""
@@ -113,16 +92,16 @@ class MeanWithin(Limits):
     judges: ClassVar[str] = "response"
     prefix: ClassVar[str] = "mean_"
 
-    def learned(self, values: np.ndarray, distance: float) -> float:
+    def learned(self, values: np.ndarray) -> float:
         """Margin of the mean."""
         valid = values[_valid(values)]
         return float(self.margin(valid.mean())) if valid.size else math.inf
 
-    def pull(self, values: np.ndarray, margin: float, distance: float, lanes: int) -> Pull:
+    def pull(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """All units have equal weight in the mean."""
         units = _valid(values)
         sign = float(self.outward(values[units].mean())) if units.size else 0.0
-        return Pull(units, np.full(units.size, sign), np.ones(units.size))
+        return units, np.full(units.size, sign) / units.size
 
     def error(self, values: np.ndarray) -> float:
         """Spread of the units."""
@@ -168,15 +147,15 @@ class SdAtMost(Limits):
         if not self.upper > 0:
             raise ValueError(f"SdAtMost.upper = {self.upper:.6g}: must be positive")
 
-    def learned(self, values: np.ndarray, distance: float) -> float:
+    def learned(self, values: np.ndarray) -> float:
         """The standard deviation beyond its limit."""
         valid = values[_valid(values)]
         return float(valid.std(ddof=1)) - self.upper if valid.size > 1 else math.inf
 
-    def pull(self, values: np.ndarray, margin: float, distance: float, lanes: int) -> Pull:
+    def pull(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """d sd = sum (y - mean) dy/((n - 1) sd)."""
         units = _valid(values)
-        return Pull(units, _spread_pull(values[units]), np.ones(units.size))
+        return units, _spread_pull(values[units]) / units.size
 
     def error(self, values: np.ndarray) -> float:
         """Spread of what each unit adds to the standard deviation."""
@@ -214,20 +193,19 @@ class WorstCaseWithin(Limits):
     of_units: ClassVar[bool] = False
     of_extremes: ClassVar[bool] = True
     exact: ClassVar[bool] = True
-    power: ClassVar[float] = 1.0
     most_failed: ClassVar[float] = math.inf  # sampled units may lie beyond the limits of the errors
     judges: ClassVar[str] = "response"
     prefix: ClassVar[str] = "worst_"
 
-    def learned(self, values: np.ndarray, distance: float) -> float:
+    def learned(self, values: np.ndarray) -> float:
         """Margin of the worse of both ends of the range; inf where the response fails within the limits."""
         margins = np.where(np.isnan(values), np.inf, self.margin(values))
         return float(margins.max())
 
-    def pull(self, values: np.ndarray, margin: float, distance: float, lanes: int) -> Pull:
+    def pull(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Value of the worse end."""
         worse = np.argmax(self.margin(values), keepdims=True)
-        return Pull(worse, self.outward(values[worse]), np.ones(1))
+        return worse, self.outward(values[worse])
 
     def figure(self, sampled: Sampled) -> Estimate:
         """The worse end of the range; exact as far as `worst_case` is."""
@@ -240,10 +218,6 @@ class WorstCaseWithin(Limits):
         margin = self.margin(estimate.value)
         rounding = 1e-12 * max(abs(self.margin(0.0)), abs(estimate.value)) if math.isfinite(estimate.value) else 0.0
         return bool(margin <= rounding)
-
-    def hopeless(self, samples: int, confidence: float) -> bool:
-        """False: the worst case needs no sample."""
-        return False
 
     def text(self) -> str:
         """Name of the limited statistic."""
@@ -271,20 +245,20 @@ class CpkAtLeast(Limits):
         if not 0 < self.cpk < math.inf:
             raise ValueError(f"CpkAtLeast.cpk = {self.cpk:.6g}: must be positive and finite")
 
-    def learned(self, values: np.ndarray, distance: float) -> float:
+    def learned(self, values: np.ndarray) -> float:
         """3 cpk sd - min(U - mean, mean - L): the same statement in the response's unit."""
         valid = values[_valid(values)]
         if valid.size < 2:
             return math.inf
         return float(self.margin(valid.mean()) + 3 * self.cpk * valid.std(ddof=1))
 
-    def pull(self, values: np.ndarray, margin: float, distance: float, lanes: int) -> Pull:
+    def pull(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """d mean = sum dy/n, d sd = sum (y - mean) dy/((n - 1) sd)."""
         units = _valid(values)
         if units.size < 2:
-            return Pull(units, np.zeros(units.size), np.ones(units.size))
+            return units, np.zeros(units.size)
         valid = values[units]
-        return Pull(units, self.outward(valid.mean()) + 3 * self.cpk * _spread_pull(valid), np.ones(units.size))
+        return units, (self.outward(valid.mean()) + 3 * self.cpk * _spread_pull(valid)) / units.size
 
     def error(self, values: np.ndarray) -> float:
         """Spread of what each unit adds to the margin."""

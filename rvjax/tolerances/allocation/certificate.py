@@ -16,9 +16,8 @@ from rvjax.response import PLAIN
 from rvjax.status import Status
 from rvjax.tolerances.allocation.constraints import Constraints
 from rvjax.tolerances.allocation.look import DECIDES, FAILED, JOINT, Look
-from rvjax.tolerances.allocation.near import NearUnits
 from rvjax.tolerances.allocation.problem import OF_QUICK, SPARE, Effort, Problem
-from rvjax.tolerances.allocation.sample import Values
+from rvjax.tolerances.allocation.sample import NearUnits, Values
 from rvjax.tolerances.allocation.tails import FEWEST
 from rvjax.tolerances.batch.run import Run
 from rvjax.tolerances.batch.statistics import Statistics, rejects, shares_alone

@@ -5,7 +5,6 @@ The used way of a limit is r = 1 + q/W: q is how far the quantile of the units a
 of the used ways are nearly linear in the squares of the half-widths, because variances add.
 """
 
-import dataclasses
 import functools
 import math
 from collections.abc import Collection, Iterator
@@ -17,12 +16,11 @@ from rvjax._jax.sizes import PULLED
 from rvjax.population import first_points
 from rvjax.response import response_names
 from rvjax.tolerances.allocation.decisions import AT, Decisions
-from rvjax.tolerances.allocation.look import DECIDES, FAILED, JOINT, Look, Row
-from rvjax.tolerances.allocation.near import Limited, NearUnits
+from rvjax.tolerances.allocation.look import DECIDES, Look, rows_of
 from rvjax.tolerances.allocation.problem import FEW, Problem
-from rvjax.tolerances.allocation.sample import Units, Values
+from rvjax.tolerances.allocation.sample import Limited, NearUnits, Units, Values
 from rvjax.tolerances.allocation.tails import Centres, Quantile, TailSample, centres_of, quantile
-from rvjax.tolerances.allocation.whole_sample import NominalOutputs, WholeSample
+from rvjax.tolerances.allocation.whole_sample import WholeSample, nominal_outputs
 from rvjax.tolerances.limits import Limits
 
 _QUARTER = 2  # times as many quick units as are behind a slope, at least
@@ -35,18 +33,13 @@ class Constraints(WholeSample):
     def __init__(self, problem: Problem, decisions: Decisions) -> None:
         self.problem, self.decisions = problem, decisions
         required = problem.requirements
-        self.rows = [Row(name, item, True) for name, item in required.items() if item.of_shares]
-        for name, item in required.items():
-            if not item.of_shares:
-                self.rows += [Row(name, side) for side in _sides(item)]
+        self.rows = rows_of(required, joint=problem.joint_target is not None)
         self.most_failed = min((i.most_failed for i in required.values() if i.most_failed < 1), default=None)
-        self.rows += [Row(FAILED, None)] if self.most_failed is not None else []
-        self.rows += [Row(JOINT, None, True)] if problem.joint_target is not None else []
         wanted = {n for n, i in required.items() if i.of_sample} | set(problem.losses)
         self.units = Units(problem.response, decisions, wanted, problem.memo)
         self.names = response_names(problem.response, decisions.base)
         outputs = {n for n, item in required.items() if not item.of_sample} | set(problem.objective)
-        self._nominal = NominalOutputs(problem.response, tuple(sorted(outputs)))
+        self._outputs = tuple(sorted(outputs))  # without errors
         self.ways = np.ones(len(self.rows))
         self.moved = np.array([AT if row.exact else 0.0 for row in self.rows])
         """Corrections (c,) of the used ways that are no quantiles."""
@@ -77,7 +70,7 @@ class Constraints(WholeSample):
         """Measure the way of each limit: of the median to it, without priced errors or at the start."""
         free = self.decisions.without_errors(x)
         values = [self.units.values(p, self.plain) for p in (free, self.decisions.population(x))]
-        outputs, _ = self._nominal.at(self.decisions.population(x))
+        outputs, _ = nominal_outputs(self.problem.response, self.decisions.population(x), self._outputs)
         for k, row in enumerate(self.rows):
             if row.item is None:
                 continue
@@ -229,7 +222,7 @@ class Constraints(WholeSample):
     def nominal(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
         """Used ways (c,) of limits without errors, their derivatives (c, n), priced outputs and their derivatives."""
         decisions, outward = self.decisions, np.zeros((len(self.rows), self.decisions.size))
-        outputs, rates = self._nominal.at(decisions.population(x))
+        outputs, rates = nominal_outputs(self.problem.response, decisions.population(x), self._outputs)
         used = np.zeros(len(self.rows))
         for k, row in enumerate(self.rows):
             if row.nominal and row.item is not None:
@@ -302,13 +295,6 @@ class Constraints(WholeSample):
             for i, (n, item) in enumerate(items.items())
         }
         return np.where(failed, np.inf, scaled.max(axis=0)), pulls
-
-
-def _sides(item: Limits) -> list[Limits]:
-    """The limits one by one, where the margin of both has a corner."""
-    if math.isinf(item.lower) or math.isinf(item.upper):
-        return [item]
-    return [dataclasses.replace(item, lower=-math.inf), dataclasses.replace(item, upper=math.inf)]
 
 
 def _size(item: Limits) -> float:

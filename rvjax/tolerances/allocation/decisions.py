@@ -45,6 +45,7 @@ class Decisions:
         self.middles = dict(middles)
         self.given = {name: float(population.active[name].middle) for name in middles}
         self.fields = list(priced)
+        self.given_widths = np.array([float(population.active[name].half_width) for name in priced])
         moves = [(n, way) for n, m in middles.items() if m.upper > m.lower for way in ((1, -1) if m.scale else (1,))]
         self.moves = moves
         self.free = [name for name, item in variables.items() if item.free]
@@ -146,8 +147,7 @@ class Decisions:
     @property
     def start(self) -> np.ndarray:
         """The given tolerances and numbers, within the bounds."""
-        given = np.array([float(self.base.active[name].half_width) for name in self.fields])
-        return self.vector(given, {name: item.first for name, item in self.variables.items()})
+        return self.vector(self.given_widths, {name: item.first for name, item in self.variables.items()})
 
     def cost_of(self, half_widths: np.ndarray, x: np.ndarray) -> float:
         """Cost of half-widths (j,), which may leave their range, with the other decisions of a vector."""

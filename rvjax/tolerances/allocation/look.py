@@ -1,6 +1,8 @@
-"""One constraint of an allocation, and what is seen of all of them at one vector of decisions."""
+"""Constraints of an allocation, and what is seen of all of them at one vector of decisions."""
 
 import dataclasses
+import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -41,6 +43,26 @@ class Row:
     def power(self) -> float:
         """Power of the used way that is linear in powers of half-widths."""
         return 1.0 if self.exact or (self.item is None and not self.share) else 2.0
+
+
+def rows_of(requirements: Mapping[str, Limits], *, joint: bool) -> list[Row]:
+    """Constraints of requirements: on shares of units, on other values, on failed units, on units that meet all limits.
+
+    Args:
+        requirements: by name of the response.
+        joint: with the last one.
+    """
+    rows = [Row(name, item, True) for name, item in requirements.items() if item.of_shares]
+    rows += [Row(name, side) for name, item in requirements.items() if not item.of_shares for side in _sides(item)]
+    rows += [Row(FAILED, None)] if any(item.most_failed < 1 for item in requirements.values()) else []
+    return [*rows, Row(JOINT, None, True)] if joint else rows
+
+
+def _sides(item: Limits) -> list[Limits]:
+    """The limits one by one, where the margin of both has a corner."""
+    if math.isinf(item.lower) or math.isinf(item.upper):
+        return [item]
+    return [dataclasses.replace(item, lower=-math.inf), dataclasses.replace(item, upper=math.inf)]
 
 
 @dataclasses.dataclass(frozen=True)

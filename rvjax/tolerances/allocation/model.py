@@ -24,56 +24,45 @@ class Planes:
     """Limits on outputs without errors, and the priced ones, as the largest of their linear functions seen so far."""
 
     def __init__(self, constraints: Constraints, here: Look) -> None:
-        self._constraints, self._here = constraints, here
+        self._constraints = constraints
         self.nominal = np.array([row.nominal for row in constraints.rows], bool)
-        self._rows = np.flatnonzero(self.nominal)
+        self._rows = [*np.flatnonzero(self.nominal).tolist(), len(self.nominal)]  # the last one of the priced outputs
         self._places: list[np.ndarray] = []
-        self.used: list[np.ndarray] = []
-        self.priced: list[float] = []
-        self._slopes: list[tuple[np.ndarray, np.ndarray]] = []
+        self._slopes: list[np.ndarray] = []
+        self.values: list[np.ndarray] = []
+        """Used ways and priced outputs (c + 1,) at every place."""
         self._any = bool(self.nominal.any() or here.priced or here.priced_slopes.any())
         self._add(here.x, here.used, here.jacobian, here.priced, here.priced_slopes)
 
     def _add(self, x: np.ndarray, used: np.ndarray, rates: np.ndarray, priced: float, towards: np.ndarray) -> None:
         self._places.append(x)
-        self.used.append(used)
-        self.priced.append(priced)
-        self._slopes.append((rates, towards))
-        c = len(self.nominal)
-        self._flat = [(k, i) for i in range(len(self._places)) for k in [*self._rows, c] if self._supports(k, i)]
+        self.values.append(np.append(used, priced))
+        self._slopes.append(np.vstack([rates, towards]))
+        self._flat = [(k, i) for i in range(len(self._places)) for k in self._rows if self._supports(k, i)]
         self.owner = [k for k, _ in self._flat]
 
     def _supports(self, k: int, i: int) -> bool:
         """True if a plane is known and lies below all values seen, or is the latest one."""
-        rates, towards = self._slopes[i]
-        known = math.isfinite(self._seen(k, i)) and np.isfinite(towards if k == len(self.nominal) else rates[k]).all()
+        known = math.isfinite(self._seen(k, i)) and np.isfinite(self._slopes[i][k]).all()
         latest = i == len(self._places) - 1
         return known and (latest or all(self._value(k, i, at) <= self._seen(k, j) for j, at in enumerate(self._places)))
 
     def _seen(self, k: int, j: int) -> float:
-        value = self.priced[j] if k == len(self.nominal) else float(self.used[j][k])
+        value = float(self.values[j][k])
         return value + 1e-7 * (abs(value) + 1e-3)
 
     def _value(self, k: int, i: int, x: np.ndarray) -> float:
-        rates, towards = self._slopes[i]
-        priced = k == len(self.nominal)
-        value, slope = (self.priced[i], towards) if priced else (float(self.used[i][k]), rates[k])
-        return value + float(slope @ (x - self._places[i]))
+        return float(self.values[i][k]) + float(self._slopes[i][k] @ (x - self._places[i]))
 
     def seen(self, x: np.ndarray) -> float:
         """Look at these outputs at the end of a step; the largest error of the planes there, in parts of a way."""
         if not self._any:
-            self.used.append(self.used[-1])
-            self.priced.append(self.priced[-1])
+            self.values.append(self.values[-1])
             return 0.0
-        used, rates, priced, towards = self._constraints.nominal(x)
-        c = len(self.nominal)
         told = {k: max(self._value(k, i, x) for j, i in self._flat if j == k) for k in self.owner}
-        off = [abs(told[k] - used[k]) for k in self._rows if k in told]
-        off += [abs(told[c] - priced) / max(abs(priced), 1e-300)] if c in told else []
-        error = max(off, default=0.0)
-        self._add(x, used, rates, priced, towards)
-        return error
+        self._add(x, *self._constraints.nominal(x))
+        sizes = [1.0] * len(self.nominal) + [max(abs(float(self.values[-1][-1])), 1e-300)]
+        return max((abs(value - self.values[-1][k]) / sizes[k] for k, value in told.items()), default=0.0)
 
     def rows(self, v: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
         """Rows (m,) of vector, excesses and priced outputs that may not be negative, and their derivatives."""
@@ -81,8 +70,7 @@ class Planes:
         n = len(v) - c - 1
         values, slopes = np.zeros(len(self._flat)), np.zeros((len(self._flat), len(v)))
         for row, (k, i) in enumerate(self._flat):
-            rates, towards = self._slopes[i]
-            slopes[row, :n] = -towards / size if k == c else -rates[k]
+            slopes[row, :n] = -self._slopes[i][k] / (size if k == c else 1.0)
             slopes[row, n + k] = 1.0
             value = self._value(k, i, v[:n])
             values[row] = v[n + k] - (value / size if k == c else value - 1)

@@ -141,11 +141,6 @@ class Problem:
         many = 2 ** math.ceil(math.log2(max(self.decisions.size / _FIELDS, 1)))
         return QUICK * many if self.effort.tails else min(self.samples, QUICK)
 
-    @property
-    def given(self) -> np.ndarray:
-        """Half-widths (j,) of the given tolerances that have a cost."""
-        return np.array([float(self.population.active[name].half_width) for name in self.priced])
-
     def cushioned(self, item: Limits, values: np.ndarray) -> float:
         """Distance inside its limit that a certificate needs of a statistic of units (n,)."""
         error = item.error(values) / math.sqrt(self.run.samples)

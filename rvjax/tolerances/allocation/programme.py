@@ -68,15 +68,6 @@ class End:
     settled: bool
 
 
-@dataclasses.dataclass(frozen=True)
-class _Plan:
-    """Step of the model: its end, outputs without errors there, the merit promised, prices of excesses."""
-
-    x: np.ndarray
-    merit: float
-    prices: np.ndarray
-
-
 class Programme:
     """Searches on the constraints of a problem; what they learn of curvatures is kept between them."""
 
@@ -106,8 +97,8 @@ class Programme:
         settled = False
         while looks < most:
             size = self._size(here)
-            plan = self._plan(here, radius, elastic)
-            promised = self._merit(here, elastic) - plan.merit
+            x, merit, _ = self._plan(here, radius, elastic)
+            promised = self._merit(here, elastic) - merit
             if not math.isfinite(promised) and radius >= least:  # an output without errors fails there
                 radius /= _SHORTER
                 continue
@@ -118,9 +109,9 @@ class Programme:
                     continue
                 settled = True
                 break
-            there, looks = self._look(plan.x), looks + 1
+            there, looks = self._look(x), looks + 1
             gained = self._merit(here, elastic) - self._merit(there, elastic)
-            step = float(np.abs((plan.x - here.x) / self.decisions.reach).max())
+            step = float(np.abs((x - here.x) / self.decisions.reach).max())
             refused = gained < _TAKEN * promised or not math.isfinite(gained)
             self._learn(here, there, refused=refused)
             if refused:
@@ -168,22 +159,22 @@ class Programme:
             radius: of the box.
         """
         elastic = np.full(len(here.used), _DEARER * self._size(here))
-        prices = self._plan(here, radius, elastic).prices
+        _, _, prices = self._plan(here, radius, elastic)
         return np.where(prices < 0.1 * elastic, prices, 0.0) * here.powers
 
     # The model.
 
-    def _plan(self, here: Look, radius: float, elastic: np.ndarray) -> _Plan:
-        """Cheapest end of a step within a box under the model."""
+    def _plan(self, here: Look, radius: float, elastic: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+        """Cheapest end of a step within a box under the model, the merit promised there, prices of excesses."""
         planes = Planes(self.constraints, here)
         for _ in range(_ROUNDS):
             x, prices = self._solved(here, radius, elastic, planes)
             if planes.seen(x) <= ROUNDING:
                 break
-        used = np.where(planes.nominal, planes.used[-1], self._powers(here, x)[0])
+        used = np.where(planes.nominal, planes.values[-1][:-1], self._powers(here, x)[0])
         excess = np.maximum(np.where(np.isfinite(here.used), used - 1, _LOST), 0.0)
-        total = self._total(here, x)[0] + planes.priced[-1]
-        return _Plan(x, (total if self.weights is None else 0.0) + float(elastic @ excess), prices)
+        total = self._total(here, x)[0] + float(planes.values[-1][-1])
+        return x, (total if self.weights is None else 0.0) + float(elastic @ excess), prices
 
     def _solved(self, here: Look, radius: float, elastic: np.ndarray, planes: Planes) -> tuple[np.ndarray, np.ndarray]:
         """Minimum of the model, and the prices (c,) of its rows."""

@@ -266,12 +266,11 @@ class Search:
         """
         problem, decisions = self.problem, self.decisions
         nothing, losses = dict.fromkeys(problem.run.names, 0.0), expected_losses(problem.losses, seen)
-        cost = look.cost + look.priced
-        given = decisions.vector(problem.given, {name: item.first for name, item in problem.variables.items()})
+        cost, start = look.cost + look.priced, decisions.start
         return Allocation(
             feasible=status != "INFEASIBLE", status=status, cost=cost,
             tolerances=decisions.population(look.x).tolerances,
-            start_cost=decisions.cost_of(problem.given, given) + self.constraints.nominal(given)[2],
+            start_cost=decisions.cost_of(decisions.given_widths, start) + self.constraints.nominal(start)[2],
             learned=learned, costs=decisions.costs(look.x),
             half_widths=dict(zip(decisions.fields, map(float, decisions.half_widths(look.x)))),
             multipliers=nothing, shortfall=nothing, residual=math.nan,

@@ -61,20 +61,16 @@ class Nominal(Limits):
         return "without errors"
 
 
-class NominalOutputs:
-    """Outputs of a response without errors, and their derivatives to the numbers of the design."""
-
-    def __init__(self, response: Response, names: tuple[str, ...]) -> None:
-        self._response, self._names = response, names
-
-    def at(self, population: Population) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
-        """Outputs by name, and {output: {number of the design: derivative}}."""
-        if not self._names:
-            return {}, {}
-        values, slopes = _linearised(self._response, population, names=self._names)
-        found = dict(zip(self._names, map(float, np.asarray(values))))
-        by_number = {name: dict(zip(self._names, map(float, np.asarray(slope)))) for name, slope in slopes.items()}
-        return found, {output: {n: by_number[n][output] for n in by_number} for output in self._names}
+def nominal_outputs(
+    response: Response, population: Population, names: tuple[str, ...]
+) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
+    """Outputs of a response without errors by name, and {output: {number of the design: derivative}}."""
+    if not names:
+        return {}, {}
+    values, slopes = _linearised(response, population, names=names)
+    by_number = {number: dict(zip(names, map(float, np.asarray(slope)))) for number, slope in slopes.items()}
+    found = dict(zip(names, map(float, np.asarray(values))))
+    return found, {output: {number: by_number[number][output] for number in by_number} for output in names}
 
 
 @per_response(static=("names",))
@@ -121,20 +117,20 @@ class WholeSample:
         item, own = row.item, values[row.name]
         valid = own if item.most_failed >= 1 else own[~np.isnan(own)]
         cushion = self.problem.cushioned(item, valid)
-        margin = item.learned(valid, self.ways[k]) + cushion
+        margin = item.learned(valid) + cushion
         if not math.isfinite(margin):
             return math.inf, nothing
         if not sloped:
             return 1 + margin / self.ways[k], nothing
         few = own[: self.problem.effort.sloped]
-        pull = item.pull(few, margin, self.ways[k], len(few))
-        if not len(pull.units):
+        units, slopes = item.pull(few)
+        if not len(units):
             return 1 + margin / self.ways[k], nothing
-        seen = few[pull.units]
+        seen = few[units]
         square = float(((seen - seen.mean()) ** 2).sum())  # the cushion grows as the spread of the units does
         more = cushion * (seen - seen.mean()) / square if square > 0 else 0.0
-        pulled = {row.name: pull.cotangents / pull.norms.sum() + more}
-        return 1 + margin / self.ways[k], self.units.slope(x, self.plain[:, pull.units], pulled) / self.ways[k]
+        pulled = {row.name: slopes + more}
+        return 1 + margin / self.ways[k], self.units.slope(x, self.plain[:, units], pulled) / self.ways[k]
 
     def worst_case(self, k: int, x: np.ndarray) -> tuple[float, np.ndarray]:
         """Used way and its derivatives (n,) of a worst case; those to mid-points and numbers by differences.
@@ -149,14 +145,13 @@ class WholeSample:
         both = functools.partial(extremes, self.problem.response, names=self.names, name=row.name)
         ends: Extremes = both(decisions.population(x))
         found, count = np.zeros(len(x)), len(decisions.fields)
-        margin = float(item.learned(ends.values, way))
-        pull, active = item.pull(ends.values, margin, way, len(ends.values)), list(decisions.base.active)
-        by_width = pull.cotangents @ ends.slopes[pull.units]
+        margin, (worse, outward) = float(item.learned(ends.values)), item.pull(ends.values)
+        by_width, active = outward @ ends.slopes[worse], list(decisions.base.active)
         found[:count] = by_width[[active.index(name) for name in decisions.fields]]
         for j in range(count, len(x)):
             there = x.copy()
             there[j] += STEP if x[j] + STEP <= decisions.high[j] else -STEP
-            found[j] = (item.learned(both(decisions.population(there)).values, way) - margin) / (there[j] - x[j])
+            found[j] = (item.learned(both(decisions.population(there)).values) - margin) / (there[j] - x[j])
         return 1 + margin / way, found / way
 
     def mean_loss(self, x: np.ndarray, *, sloped: bool) -> tuple[float, np.ndarray]:

@@ -9,7 +9,7 @@ from rvjax.population import CentralMoments, Pairwise
 from rvjax.status import SUCCESS, Status
 from rvjax.tolerances.batch.quantiles import ExactOrder, Order
 from rvjax.tolerances.batch.shares import Chunks, Processes, take
-from rvjax.tolerances.requirements import Limits
+from rvjax.tolerances.limits import Limits
 
 _GOOD = [int(status) for status in SUCCESS]
 _GROWING = ("failures", "values", "pilot", "chunks", "waiting", "waiting_streams", "waiting_chunks")

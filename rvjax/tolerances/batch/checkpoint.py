@@ -23,7 +23,7 @@ from rvjax.base.files import DAMAGE, PARTIAL, Arrays, digest, pack, unpack, writ
 from rvjax.population import Population
 from rvjax.records import Record
 from rvjax.response import Response, Values, respond
-from rvjax.tolerances.requirements import Limits
+from rvjax.tolerances.limits import Limits
 
 _SHARE = 10  # times as long computing as writing
 _FORMAT = 4

@@ -10,7 +10,7 @@ from rvjax.tolerances.batch.run import QUANTILES, Run, check_memory
 from rvjax.tolerances.batch.shares import Processes
 from rvjax.tolerances.batch.statistics import Statistics
 from rvjax.tolerances.batch.unit_file import UnitFile
-from rvjax.tolerances.requirements import Limits
+from rvjax.tolerances.limits import Limits
 
 __all__ = ["Run", "Statistics", "monte_carlo"]
 

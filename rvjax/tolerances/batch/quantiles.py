@@ -109,8 +109,9 @@ class Order:
     """
 
     def __init__(self, streams: int = 1) -> None:
-        self._pilot = np.empty(0)
-        self._grid: Grid | None = None
+        self.first = np.empty(0)
+        """The values that placed the bins (`PILOT`,); empty before."""
+        self._bins: Grid
         self._waiting: dict[int, tuple[np.ndarray, np.ndarray]] = {}  # values and streams of the chunks with any
         self._chunks = Chunks()
         self._counts = np.zeros(BINS + 2, np.int64)
@@ -122,23 +123,12 @@ class Order:
     @property
     def settled(self) -> bool:
         """True once the bins are known."""
-        return self._pilot.size == PILOT
-
-    @property
-    def first(self) -> np.ndarray:
-        """The values that placed the bins (`PILOT`,); empty before."""
-        return self._pilot
+        return self.first.size == PILOT
 
     @property
     def waiting(self) -> int:
         """Number of values that wait for the bins."""
         return sum(values.size for values, _ in self._waiting.values())
-
-    @property
-    def _bins(self) -> Grid:
-        if self._grid is None:
-            self._grid = Grid(self._pilot)
-        return self._grid
 
     def add(self, values: np.ndarray, streams: np.ndarray | None = None, *, number: int | None = None) -> None:
         """Take in the values of one chunk.
@@ -179,10 +169,10 @@ class Order:
             ValueError: the bins are known, and others.
         """
         if self.settled:
-            if not np.array_equal(self._pilot, first):
+            if not np.array_equal(self.first, first):
                 raise ValueError("processes: they computed different values for the same units; use like machines")
             return
-        self._pilot, self._grid = first, None
+        self.first, self._bins = first, Grid(first)
         for values, streams in self._waiting.values():
             self._count(values, streams if self.streams > 1 else None)
         self._waiting, self._chunks = {}, Chunks()
@@ -253,7 +243,7 @@ class Order:
         return {
             "extremes": np.array([self.minimum, self.maximum]),
             "n": np.array([self.n]),
-            "pilot": self._pilot,
+            "pilot": self.first,
             "chunks": self._chunks.array(),
             "waiting": values,
             "waiting_streams": streams,

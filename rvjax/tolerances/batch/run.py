@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import functools
 import json
+import math
 import os
 from pathlib import Path
 
@@ -12,9 +13,10 @@ import numpy as np
 from rvjax._jax.distributed import Store, place
 from rvjax.base.files import DAMAGE, pack, unpack, versions
 from rvjax.base.progress import progress_bar
-from rvjax.population import SCRAMBLES, Population
+from rvjax.population import SCRAMBLES, Estimate, Population, Sampled
 from rvjax.records import PyTree
-from rvjax.response import Response, evaluator
+from rvjax.response import Evaluator, Response
+from rvjax.status import PRECEDENCE
 from rvjax.tolerances.batch.accumulator import Accumulator
 from rvjax.tolerances.batch.checkpoint import (
     LARGEST,
@@ -26,10 +28,11 @@ from rvjax.tolerances.batch.checkpoint import (
     parts_of,
     response_hash,
 )
+from rvjax.tolerances.batch.quantiles import quantile_estimate
 from rvjax.tolerances.batch.shares import Alone, Chunks, Processes, in_order, take
-from rvjax.tolerances.batch.statistics import Statistics, statistics_of
+from rvjax.tolerances.batch.statistics import Statistics, rejects
 from rvjax.tolerances.batch.unit_file import UnitFile, Write, joined, writing
-from rvjax.tolerances.requirements import Limits
+from rvjax.tolerances.limits import Limits
 from rvjax.tolerances.worst_case import extremes
 
 QUANTILES = (0.00135, 0.5, 0.99865)
@@ -67,7 +70,7 @@ class Run:
             self._count(counted, file, numbers, counts, write, group)
         if group.count > 1:
             counted = self._gathered(counted, study, group)
-        return self._figures(counted, study)
+        return _statistics_of(self, counted, study)
 
     def of_units(self, values: dict[str, np.ndarray], status: np.ndarray) -> Statistics:
         """Statistics of units that are solved.
@@ -79,12 +82,12 @@ class Run:
         study = self._described()
         counted = self._empty(keeps=self.keep)
         counted.add(0, 0, values, counted.judged(values, status))
-        return self._figures(counted, study)
+        return _statistics_of(self, counted, study)
 
     def z(self) -> np.ndarray:
         """Random numbers (numbers, samples) of all units."""
         count = min(self.chunk, self.samples)
-        evaluated = evaluator(self.response, self.population, self.seed, self.method, count, self.names)
+        evaluated = Evaluator(self.response, self.population, self.seed, self.method, count, self.names)
         rows = [np.asarray(evaluated.z(first)) for first in range(0, self.samples, count)]
         return np.concatenate(rows, axis=1)[:, : self.samples]
 
@@ -92,16 +95,6 @@ class Run:
         """Inputs of the run as text."""
         about = describe(self.population, self.requirements)
         return about | {"seed": str(self.seed), "method": self.method, "chunk": str(self.chunk)}
-
-    def _figures(self, counted: Accumulator, study: dict[str, str]) -> Statistics:
-        """Statistics of all units."""
-        wide = [name for name, item in self.requirements.items() if item.of_extremes]
-        ends = {name: extremes(self.response, self.population, self.names, name).values for name in wide}
-        ranges = {name: (float(low), float(high)) for name, (low, high) in ends.items()}
-        return statistics_of(
-            counted, self.requirements, self.quantiles, ranges,
-            seed=self.seed, method=self.method, confidence=self.confidence, keep=self.keep, study=study,
-        )  # fmt: skip
 
     def _empty(self, *, keeps: bool) -> Accumulator:
         streams, kept = SCRAMBLES if self.method == "sobol" else 1, self.samples if keeps else 0
@@ -168,17 +161,14 @@ class Run:
             try:
                 self._empty(keeps=kept).check(state, self.chunk)
                 chunks = Chunks.of(state["chunks"])
-                if (units := chunks.stop * self.chunk) > self.samples:
-                    where = f"checkpoint = {str(self.checkpoint)!r} holds {units} already"
-                    raise _Short(f"samples = {self.samples}: {where}")
-                if chunks.within(counted.chunks):  # a run that was killed here has taken them in already
-                    counted.fill(state)
-                else:
-                    counted.merge(state)
-            except _Short:
-                raise
+                units = chunks.stop * self.chunk
+                if units <= self.samples:  # a run that was killed here has taken them in already
+                    (counted.fill if chunks.within(counted.chunks) else counted.merge)(state)
             except DAMAGE as error:
                 raise file.damaged(error) from None
+            if units > self.samples:
+                where = f"checkpoint = {str(self.checkpoint)!r} holds {units} already"
+                raise ValueError(f"samples = {self.samples}: {where}")
         file = Checkpoint(self.checkpoint, about, every=self.checkpoint_every)
         if parts:
             file.save(functools.partial(counted.state, counted.chunks.stop * self.chunk), now=True)
@@ -207,7 +197,7 @@ class Run:
         """
         samples, chunk = self.samples, self.chunk
         count = min(chunk, samples)
-        evaluated = evaluator(self.response, self.population, self.seed, self.method, count, self.names)
+        evaluated = Evaluator(self.response, self.population, self.seed, self.method, count, self.names)
         asked = describe(self.population, {}) | {"seed": str(self.seed), "method": self.method, "count": str(count)}
 
         def start(first: int) -> tuple[dict[str, PyTree], PyTree]:
@@ -266,6 +256,59 @@ class Run:
         return counted
 
 
+def _statistics_of(run: Run, counted: Accumulator, study: dict[str, str]) -> Statistics:
+    """Statistics of all counted units, as dicts by name of the response."""
+    wide = [name for name, item in run.requirements.items() if item.of_extremes]
+    ends = {name: extremes(run.response, run.population, run.names, name).values for name in wide}
+    ranges = {name: (float(low), float(high)) for name, (low, high) in ends.items()}
+    named = [status for status in PRECEDENCE if int(status) in counted.failures]
+    seen = {
+        name: Sampled(
+            [tree.total() for tree in trees],
+            counted.passed.get(name),
+            counted.seen,
+            run.confidence,
+            ranges.get(name, (math.nan, math.nan)),
+        )
+        for name, trees in counted.moments.items()
+    }
+    orders, any_units = counted.orders().items(), bool(counted.requirements)
+    yields = {name: None if item.passed is None else item.share() for name, item in seen.items()}
+    nothing, limited = Estimate(*[math.nan] * 4), counted.requirements
+    cp, cpk = (
+        {name: of(item, limited[name]) if name in limited else nothing for name, item in seen.items()}
+        for of in (Sampled.cp, Sampled.cpk)
+    )
+    return Statistics(
+        samples=int(counted.seen.sum()),
+        seed=run.seed,
+        method=run.method,
+        standard_errors="independent units" if counted.streams == 1 else f"{counted.streams} independent scrambles",
+        confidence=run.confidence,
+        failed=sum(counted.failures.values()),
+        failures={status.name: counted.failures[int(status)] for status in named},
+        examples={status.name: counted.examples[int(status)] for status in named},
+        worst_index=counted.examples[int(named[0])] if named else None,
+        mean={name: item.mean() for name, item in seen.items()},
+        sd={name: item.sd() for name, item in seen.items()},
+        quantiles={p: {n: quantile_estimate(o, p, run.confidence) for n, o in orders} for p in run.quantiles},
+        minimum={n: -math.inf if counted.infinite[n][0] else item.whole.minimum for n, item in seen.items()},
+        maximum={n: math.inf if counted.infinite[n][1] else item.whole.maximum for n, item in seen.items()},
+        infinite={name: int(units.sum()) for name, units in counted.infinite.items()},
+        yield_=yields if any_units else None,
+        ppm={name: rejects(share) for name, share in yields.items()} if any_units else None,
+        cp={name: figure.value for name, figure in cp.items()} if any_units else None,
+        cpk={name: figure.value for name, figure in cpk.items()} if any_units else None,
+        cp_estimate=cp if any_units else None,
+        cpk_estimate=cpk if any_units else None,
+        joint_yield=next(iter(seen.values())).share(counted.joint) if any_units else None,
+        verdicts={name: item.verdict(seen[name]) for name, item in run.requirements.items()} or None,
+        values=(counted.values or None) if run.keep else None,
+        study=study,
+        versions=versions(),
+    )
+
+
 def check_memory(samples: int, responses: int) -> None:
     """Raise a ValueError for more values than half the memory holds: they are also sorted and saved."""
     if not hasattr(os, "sysconf"):  # Windows does not say
@@ -276,7 +319,3 @@ def check_memory(samples: int, responses: int) -> None:
             f"keep = True: {samples} units need {8 * samples * responses / 2**30:.3g} GiB, more than half of this "
             f"computer's {memory / 2**30:.3g} GiB; without keep memory does not grow with samples"
         )
-
-
-class _Short(ValueError):
-    """Fewer samples than a checkpoint counts."""

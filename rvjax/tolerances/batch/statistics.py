@@ -2,17 +2,11 @@
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from rvjax.base import frames
-from rvjax.base.files import versions
-from rvjax.population import Estimate, Sampled
+from rvjax.population import Estimate
 from rvjax.records import PyTree
-from rvjax.status import PRECEDENCE
-from rvjax.tolerances.batch.accumulator import Accumulator
-from rvjax.tolerances.batch.quantiles import quantile_estimate
-from rvjax.tolerances.limits import Limits
 
 if TYPE_CHECKING:
     from rvjax.base.frames import DataFrame
@@ -125,76 +119,3 @@ def rejects(share: Estimate | None) -> Estimate | None:
     if share is None:
         return None
     return Estimate(1e6 * (1 - share.value), 1e6 * share.error, 1e6 * (1 - share.upper), 1e6 * (1 - share.lower))
-
-
-def statistics_of(
-    counted: Accumulator,
-    requirements: Mapping[str, Limits],
-    quantiles: Sequence[float],
-    ranges: Mapping[str, tuple[float, float]],
-    *,
-    seed: int,
-    method: str,
-    confidence: float,
-    keep: bool,
-    study: dict[str, str],
-) -> Statistics:
-    """Statistics of all counted units, as dicts by name of the response.
-
-    Args:
-        counted: counts of the units.
-        requirements: by name of the response.
-        quantiles: shares whose quantiles are wanted.
-        ranges: of responses over the limits of all errors, where a requirement needs them.
-        seed: of the random numbers.
-        method: of the random numbers.
-        confidence: of every interval.
-        keep: with the response of every unit.
-        study: inputs, as text.
-    """
-    named = [status for status in PRECEDENCE if int(status) in counted.failures]
-    seen = {
-        name: Sampled(
-            [tree.total() for tree in trees],
-            counted.passed.get(name),
-            counted.seen,
-            confidence,
-            ranges.get(name, (math.nan, math.nan)),
-        )
-        for name, trees in counted.moments.items()
-    }
-    orders, any_units = counted.orders().items(), bool(counted.requirements)
-    yields = {name: None if item.passed is None else item.share() for name, item in seen.items()}
-    nothing, limited = Estimate(*[math.nan] * 4), counted.requirements
-    cp, cpk = (
-        {name: of(item, limited[name]) if name in limited else nothing for name, item in seen.items()}
-        for of in (Sampled.cp, Sampled.cpk)
-    )
-    return Statistics(
-        samples=int(counted.seen.sum()),
-        seed=seed,
-        method=method,
-        standard_errors="independent units" if counted.streams == 1 else f"{counted.streams} independent scrambles",
-        confidence=confidence,
-        failed=sum(counted.failures.values()),
-        failures={status.name: counted.failures[int(status)] for status in named},
-        examples={status.name: counted.examples[int(status)] for status in named},
-        worst_index=counted.examples[int(named[0])] if named else None,
-        mean={name: item.mean() for name, item in seen.items()},
-        sd={name: item.sd() for name, item in seen.items()},
-        quantiles={p: {n: quantile_estimate(o, p, confidence) for n, o in orders} for p in quantiles},
-        minimum={n: -math.inf if counted.infinite[n][0] else item.whole.minimum for n, item in seen.items()},
-        maximum={n: math.inf if counted.infinite[n][1] else item.whole.maximum for n, item in seen.items()},
-        infinite={name: int(units.sum()) for name, units in counted.infinite.items()},
-        yield_=yields if any_units else None,
-        ppm={name: rejects(share) for name, share in yields.items()} if any_units else None,
-        cp={name: figure.value for name, figure in cp.items()} if any_units else None,
-        cpk={name: figure.value for name, figure in cpk.items()} if any_units else None,
-        cp_estimate=cp if any_units else None,
-        cpk_estimate=cpk if any_units else None,
-        joint_yield=next(iter(seen.values())).share(counted.joint) if any_units else None,
-        verdicts={name: item.verdict(seen[name]) for name, item in requirements.items()} or None,
-        values=(counted.values or None) if keep else None,
-        study=study,
-        versions=versions(),
-    )

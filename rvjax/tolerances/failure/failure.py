@@ -23,7 +23,7 @@ from rvjax.tolerances.failure.subset import (
     sequential,
     together,
 )
-from rvjax.tolerances.requirements import Limits
+from rvjax.tolerances.limits import Limits
 
 _ROUNDS = 12  # most batches of searches
 _ORBITS = 4  # new points of a batch whose images are tried

@@ -14,7 +14,6 @@ widened event leads to is missing.
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 from scipy import special
@@ -38,6 +37,7 @@ _MOST_STEPS = 32
 _HIGH, _LOW = 0.5, 0.25  # shares of accepted moves that make the next ones longer, shorter
 _INDEPENDENT = 16  # units of an island that count as one: most descend from a few
 _FLOOR = 1e-20  # of the squares of spreads, relative to the largest
+_CONFIDENCE = 0.95  # of the intervals
 _LONGEST = 16.0  # most ratio of two spreads inwards: the first step may say little about the next
 
 Event = Callable[[np.ndarray], np.ndarray]
@@ -57,29 +57,10 @@ class Sequential:
     units: np.ndarray
 
 
-class Path(Protocol):
-    """Widened events F(t), from a common one to the event itself at `end`."""
-
-    end: float
-    shaped: bool  # the event may be thin: moves follow the spread of its units
-
-    def begin(self, z: np.ndarray) -> tuple[float, np.ndarray]:
-        """First widening, and the units of z (numbers, n) that belong to it (n,)."""
-
-    def within(self, z: np.ndarray, t: float) -> np.ndarray:
-        """Mark the units (n,) of F(t)."""
-
-    def after(self, z: np.ndarray, t: float, share: float, last: float) -> float:
-        """Next widening. Units of F(t); its probability and its share of the event before."""
-
-    def between(self, wide: float, narrow: float) -> float | None:
-        """Half-way from one widening back to a wider one, None where they are close."""
-
-
 class Spreads:
     """Events of units spread wider, or less wide, than they are made."""
 
-    end = 1.0
+    end = 1.0  # the event itself
 
     def __init__(self, event: Event, tried: tuple[float, ...], wider: Event | None = None) -> None:
         """Event of units (numbers, n), and the spreads that are tried in turn.
@@ -89,7 +70,8 @@ class Spreads:
             tried: spreads.
             wider: event at all other spreads, if it costs less there.
         """
-        self.event, self.tried, self.wider, self.shaped = event, tried, wider or event, tried[0] < 1
+        self.event, self.tried, self.wider = event, tried, wider or event
+        self.shaped = tried[0] < 1  # the event may be thin: moves follow the spread of its units
         self._ratio = 0.0  # of the last step inwards; 0 before it
 
     def begin(self, z: np.ndarray) -> tuple[float, np.ndarray]:
@@ -154,7 +136,7 @@ class Levels:
         return None
 
 
-def sequential(path: Path, numbers: int, random: np.random.Generator, confidence: float = 0.95) -> Sequential:
+def sequential(path: Spreads | Levels, numbers: int, random: np.random.Generator) -> Sequential:
     """Probability of an event by subset simulation along a path of wider events.
 
     A region that ends further out, on the ray through its units, is found outwards only as far as it does not.
@@ -163,7 +145,6 @@ def sequential(path: Path, numbers: int, random: np.random.Generator, confidence
         path: of events.
         numbers: random numbers of a unit.
         random: where the units come from.
-        confidence: of the interval.
     """
 
     def within(z: np.ndarray, t: float) -> np.ndarray:
@@ -187,13 +168,13 @@ def sequential(path: Path, numbers: int, random: np.random.Generator, confidence
             z = np.where(taken, trial, z)
             reach = min(1.0, 1.4 * reach) if taken.mean() > _HIGH else reach / 1.4 if taken.mean() < _LOW else reach
         if t == path.end:
-            return Sequential(_estimate(shares, noise, confidence), z[:, alive].reshape(numbers, EACH * alive.sum()))
+            return Sequential(_estimate(shares, noise), z[:, alive].reshape(numbers, EACH * alive.sum()))
         wide, t = t, path.after(z[:, alive].reshape(numbers, -1), t, float(shares.mean()), last)
         hit = within(z, t) & alive[:, None]
         while hit.mean() < _LEAST and (half := path.between(wide, t)) is not None:
             t = half
             hit = within(z, t) & alive[:, None]
-    seen = clopper_pearson(int(within(first_units, path.end).sum()), ISLANDS * EACH, confidence)
+    seen = clopper_pearson(int(within(first_units, path.end).sum()), ISLANDS * EACH, _CONFIDENCE)
     return Sequential(Estimate(0.0, 0.0, 0.0, seen.upper), np.zeros((numbers, 0)))
 
 
@@ -246,14 +227,13 @@ def _moved(z: np.ndarray, random: np.ndarray, reach: float, shapes: list[Shape])
     return np.concatenate(moved, axis=1)
 
 
-def together(one: Sequential, other: Sequential, random: np.random.Generator, confidence: float = 0.95) -> Sequential:
+def together(one: Sequential, other: Sequential, random: np.random.Generator) -> Sequential:
     """Both of two events that exclude each other, with units in proportion.
 
     Args:
         one: of one event.
         other: of the other.
         random: which units stay.
-        confidence: of the interval.
     """
     found = [item for item in (one, other) if item.units.shape[1]]
     if len(found) < 2:
@@ -264,7 +244,7 @@ def together(one: Sequential, other: Sequential, random: np.random.Generator, co
     for item in found:
         own = max(1, round(ISLANDS * EACH * item.probability.value / value))
         kept.append(item.units[:, random.permutation(item.units.shape[1])[:own]])
-    return Sequential(rare(value, error, student(confidence, ISLANDS)), np.concatenate(kept, axis=1))
+    return Sequential(rare(value, error, student(_CONFIDENCE, ISLANDS)), np.concatenate(kept, axis=1))
 
 
 def _resampled(z: np.ndarray, hit: np.ndarray, random: np.random.Generator) -> np.ndarray:
@@ -276,11 +256,11 @@ def _resampled(z: np.ndarray, hit: np.ndarray, random: np.random.Generator) -> n
     return np.stack([z[:, k, pick] for k, pick in enumerate(picks)], axis=1)
 
 
-def _estimate(shares: np.ndarray, noise: float, confidence: float) -> Estimate:
+def _estimate(shares: np.ndarray, noise: float) -> Estimate:
     """The mean over all islands; its error no less than were all units independent (`noise`: its square, relative).
 
     No noise: all units of every step belonged to the event, of which one more might not.
     """
     value, spread = float(shares.mean()), float(shares.std(ddof=1)) / math.sqrt(ISLANDS)
     error = max(spread, value * (math.sqrt(noise) or 1 / (ISLANDS * EACH)))
-    return rare(value, error, student(confidence, ISLANDS))
+    return rare(value, error, student(_CONFIDENCE, ISLANDS))
