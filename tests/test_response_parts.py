@@ -117,8 +117,8 @@ def test_slopes_of_solved_units_come_from_their_state():
     scaled = weights[0] * a
     due[1], due[12] = scaled * np.cos(errors["x"][1]) * errors["z"], scaled * np.sin(errors["x"][1])
     np.testing.assert_allclose(part.slopes_of_elements(population(1.2), own, state, weights), due, atol=1e-12)
-    found, slopes = gradients(
-        part.response, population(1.2), np.repeat(own, 2, axis=1), np.repeat(weights, 2, 1), part.names
+    found, _, slopes = gradients(
+        part.response, population(1.2), np.repeat(own, 2, axis=1), np.repeat(weights, 2, axis=1)
     )
     np.testing.assert_allclose(found[:, ::2], values, rtol=1e-15)
     np.testing.assert_allclose(slopes[:, 1::2], due, atol=1e-12)

@@ -26,6 +26,7 @@ from rvjax.units import KNOWN, recognised, spelling
 Limit = Tolerance | tuple[float, float]
 NATURAL = 3.0
 """Standard deviations to each side of the mean that are the limits of an error without given limits."""
+_EVERY_UNIT = {unit: size for family in KNOWN.values() for unit, size in family.items()}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -204,13 +205,12 @@ def measured(
 
 def _found(path: str | Path, about: Mapping[str, Metadata] | None, encoding: str | None) -> dict[str, str]:
     """Columns by name, of those with a known unit in the header."""
-    everything = {unit: size for family in KNOWN.values() for unit, size in family.items()}
 
     def has_unit(header: str) -> bool:
-        return recognised(name_and_unit(header)[1] or "?", everything) is not None
+        return recognised(name_and_unit(header)[1] or "?", _EVERY_UNIT) is not None
 
     header = read_cells(path, named=has_unit, encoding=encoding).header
-    plain = {split(text)[0]: text for text in header if spelling(split(text)[1] or "?") in everything}
+    plain = {split(text)[0]: text for text in header if spelling(split(text)[1] or "?") in _EVERY_UNIT}
     found = plain or {name_and_unit(text)[0]: text for text in header if has_unit(text)}
     if about is not None:
         found = {name: text for name, text in found.items() if _field(name) in about}
@@ -222,7 +222,7 @@ def _found(path: str | Path, about: Mapping[str, Metadata] | None, encoding: str
 def _family(name: str, about: Mapping[str, Metadata] | None) -> Mapping[str, float]:
     """Units that a column may have."""
     if about is None:
-        return {unit: size for family in KNOWN.values() for unit, size in family.items()}
+        return _EVERY_UNIT
     if _field(name) not in about:
         raise unknown(f"columns: {name!r}", name, sorted(about), " is no error of this design; it has")
     return KNOWN[about[_field(name)]["unit"]]

@@ -169,17 +169,8 @@ def pulled(
     return jax.vmap(one, in_axes=-1, out_axes=-1)(errors, cotangents)
 
 
-def _on_all_devices(
-    response: Response, population: Population, errors: jax.Array, cotangents: jax.Array, *, names: tuple[str, ...]
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    mesh = mesh_of(errors.shape[1])
-    return pulled(response, population, on(mesh, errors), on(mesh, cotangents), names=names, mesh=mesh)
-
-
-def gradients(
-    response: Response, population: Population, errors: np.ndarray, cotangents: np.ndarray, names: tuple[str, ...]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Values (k, n) and gradients (elements, n) of weighted responses, any number of units by the one program.
+def gradients(response: Response, population: Population, errors: np.ndarray, cotangents: np.ndarray) -> Solution:
+    """Values (k, n), status (n,) and gradients (elements, n) of weighted responses, any number of units by one program.
 
     Where the population has numbers of the design, gradients to these follow, as rows in the order of their names.
 
@@ -187,40 +178,21 @@ def gradients(
         response: of one unit.
         population: whose active fields the elements are.
         errors: (elements, n) of the active fields, one after the other.
-        cotangents: (k, n) weights of the named responses.
-        names: of the responses.
+        cotangents: (k, n) weights of the values, by `response_names`.
     """
+    count = errors.shape[1]
     if is_costly(response):
         own, inverse = np.unique(errors, axis=1, return_inverse=True)  # a unit that is given twice is solved once
-        names_of = response_names(response, population)
-        rows = np.array([names_of.index(name) for name in names])
-        weights = np.zeros((len(names_of), errors.shape[1]))
-        weights[rows] = cotangents
-        values, _, state = solve(response, population, own.shape[1], lambda lanes: jnp.asarray(own[:, lanes]))
+        values, status, state = solve(response, population, own.shape[1], lambda lanes: jnp.asarray(own[:, lanes]))
         units = inverse.ravel()
-        return values[rows][:, units], pulls(response, population, errors, state[:, units], weights)
-    found, dtype = [], jnp.result_type(float)
-    for lanes in calls(errors.shape[1], sloped_together()):
-        arrays: Any = (np.asarray(rows[:, lanes], dtype) for rows in (errors, cotangents))
-        found.append(_on_all_devices(response, population, *arrays, names=names))
-    parts = zip(*((value, slope) for value, _, slope in found))
-    values, slopes = (np.concatenate([np.asarray(row, float) for row in part], axis=1) for part in parts)
-    return values[:, : errors.shape[1]], slopes[:, : errors.shape[1]]
-
-
-def one_unit(response: Response, population: Population, errors: np.ndarray) -> tuple[np.ndarray, int]:
-    """Values (k,) and status of the unit with errors (elements,), by the program of the gradients.
-
-    Args:
-        response: of one unit.
-        population: whose active fields the elements are.
-        errors: of the active fields, one after the other.
-    """
-    names, lanes = response_names(response, population), sloped_together()
-    each = jnp.asarray(np.repeat(errors[:, None], lanes, axis=1), jnp.result_type(float))
-    weights = jnp.zeros((len(names), lanes), each.dtype)
-    values, status, _ = _on_all_devices(response, population, each, weights, names=names)
-    return np.asarray(values)[:, 0], int(status[0])
+        return values[:, units], status[units], pulls(response, population, errors, state[:, units], cotangents)
+    names, size, dtype, found = response_names(response, population), sloped_together(), jnp.result_type(float), []
+    mesh = mesh_of(size)
+    for lanes in calls(count, size):
+        arrays: Any = [np.asarray(each[:, lanes], dtype) for each in (errors, cotangents)]
+        found.append(pulled(response, population, *(on(mesh, each) for each in arrays), names=names, mesh=mesh))
+    values, status, slopes = (np.concatenate(list(map(np.asarray, part)), axis=-1)[..., :count] for part in zip(*found))
+    return values.astype(float), status, slopes.astype(float)
 
 
 @jax.jit

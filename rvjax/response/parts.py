@@ -19,7 +19,6 @@ from rvjax.response.derivatives import (
     Solution,
     elements,
     gradients,
-    one_unit,
     pulls,
     solve,
 )
@@ -112,11 +111,12 @@ class Whole(Part):
         self, population: Population, errors: np.ndarray, state: np.ndarray, cotangents: np.ndarray
     ) -> np.ndarray:
         """The same, which needs no state."""
-        return gradients(self.response, population, errors, cotangents, self.names)[1]
+        return gradients(self.response, population, errors, cotangents)[2]
 
     def one(self, population: Population, errors: np.ndarray) -> tuple[np.ndarray, int]:
         """The same, by the program of the gradients."""
-        return one_unit(self.response, population, errors)
+        values, status, _ = gradients(self.response, population, errors[:, None], np.zeros((len(self.names), 1)))
+        return values[:, 0], int(status[0])
 
 
 def parts(response: Response, population: Population, chunk: int = BLOCK) -> list[Part]:

@@ -91,6 +91,10 @@ class Limits:
         middle, half = (self.lower + self.upper) / 2, (self.upper - self.lower) / 2
         return abs(value - middle) - half
 
+    def margins(self, values: np.ndarray) -> np.ndarray:
+        """Margin of every unit, inf where one failed."""
+        return np.where(np.isnan(values), np.inf, self.margin(values))
+
     def outward(self, value: np.ndarray | float) -> PyTree:
         """Derivative of the margin to the value, +1 or -1; NumPy arrays."""
         if math.isinf(self.lower) or math.isinf(self.upper):

@@ -143,10 +143,6 @@ class Spread:
         coupled = any(t.law.couples for t in self.fields.values())
         self.independent = not coupled and bool((self.correlation == np.eye(len(self.mean))).all())
 
-    @property
-    def covariance(self) -> np.ndarray:
-        return self.correlation * np.outer(self.sd, self.sd)
-
     def block(self, name: str) -> np.ndarray:
         """Covariance of the elements of one field.
 
@@ -249,7 +245,7 @@ def _figures(item: _Propagated, requirement: Limits | None, law: Spread) -> dict
 
 def _second_order(value: float, g: np.ndarray, h: np.ndarray, law: Spread) -> _Propagated:
     """Moments of f + g'd + d'Hd/2; exact second moments of the quadratic form."""
-    covariance, curvature = law.covariance, np.diag(h)
+    covariance, curvature = law.correlation * np.outer(law.sd, law.sd), np.diag(h)
     mean = value + 0.5 * float((h * covariance).sum())
     normal = all(t.law.is_normal(t) for t in law.fields.values())
     if not (law.independent or normal):
@@ -321,7 +317,7 @@ def _derivatives(
     points = np.concatenate([mean[:, None], mean[:, None] + _STEP * away, units], axis=1)
     # One batch element per point and value: one reverse pass, units last, compiles in half the time of a Jacobian.
     count, cotangents = points.shape[1], np.repeat(np.eye(len(names)), points.shape[1], axis=1)
-    values, found = gradients(response, population, np.tile(points, len(names)), cotangents, names)
+    values, _, found = gradients(response, population, np.tile(points, len(names)), cotangents)
     found = found.reshape(-1, len(names), count).transpose(1, 2, 0)
     beyond = values[:, 1 + _PROBES : count]
     return values[:, 0], found[:, 0], found[:, 1 : 1 + _PROBES], found[:, 1 + _PROBES :], away, beyond

@@ -33,10 +33,6 @@ class Requirement(Limits):
         if not 0 < self.target < 1:
             raise ValueError(f"Requirement.target = {self.target:.6g}: must lie between 0 and 1")
 
-    def margins(self, values: np.ndarray) -> np.ndarray:
-        """Margin of every unit, inf where one failed."""
-        return np.where(np.isnan(values), np.inf, self.margin(values))
-
     def figure(self, sampled: Sampled) -> Estimate:
         """The yield; failed units are rejects."""
         return sampled.share()
@@ -199,8 +195,7 @@ class WorstCaseWithin(Limits):
 
     def learned(self, values: np.ndarray) -> float:
         """Margin of the worse of both ends of the range; inf where the response fails within the limits."""
-        margins = np.where(np.isnan(values), np.inf, self.margin(values))
-        return float(margins.max())
+        return float(self.margins(values).max())
 
     def pull(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Value of the worse end."""
@@ -210,7 +205,7 @@ class WorstCaseWithin(Limits):
     def figure(self, sampled: Sampled) -> Estimate:
         """The worse end of the range; exact as far as `worst_case` is."""
         ends = np.array(sampled.extremes)
-        worse = float(ends[np.argmax(np.where(np.isnan(ends), np.inf, self.margin(ends)))])
+        worse = float(ends[np.argmax(self.margins(ends))])
         return Estimate(worse, 0.0, worse, worse)
 
     def holds(self, estimate: Estimate) -> bool:

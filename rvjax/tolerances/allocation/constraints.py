@@ -284,7 +284,7 @@ class Constraints(WholeSample):
         if row.item is not None:
             own = values[row.name]
             pull = np.where(np.isnan(own), 0.0, row.item.outward(own))
-            return np.where(np.isnan(own), np.inf, row.item.margin(own)), {row.name: pull}
+            return row.item.margins(own), {row.name: pull}
         items = {n: i for n, i in self.problem.requirements.items() if i.of_units}
         ways = {r.name: float(way) for r, way in zip(self.rows, self.ways) if r.item is not None}
         failed = np.any([np.isnan(values[n]) for n in items], axis=0)

@@ -98,10 +98,16 @@ class Units:
                 self._states = [*self._states[1 - KEPT * len(self.parts) :], (part, population, place, state)]
             return np.where(succeeded(np.asarray(status)), values, np.nan)
 
+        return self._recalled("design", lambda: (part.names, sorted(describe(population, {}).items())), [z], compute)
+
+    def _recalled(
+        self, kind: str, about: Callable[[], object], arrays: list[np.ndarray], compute: Callable[[], np.ndarray]
+    ) -> np.ndarray:
+        """What the memo holds for these inputs, else the computed array."""
         if self._memo is None:
             return compute()
-        about = repr((part.names, sorted(describe(population, {}).items()))).encode()
-        return self._memo.recall({"design": hashlib.sha256(about + z.tobytes()).hexdigest()}, compute).copy()
+        inputs = repr(about()).encode() + b"".join(array.tobytes() for array in arrays)
+        return self._memo.recall({kind: hashlib.sha256(inputs).hexdigest()}, compute).copy()
 
     def gradients(self, population: Population, z: np.ndarray, errors: np.ndarray, pulled: Values) -> np.ndarray:
         """Gradients (elements and numbers, n) of sums of responses with weights (n,) by name.
@@ -121,16 +127,10 @@ class Units:
             units = np.flatnonzero(weights.any(axis=0))
             if not len(units):
                 continue
-
-            compute = functools.partial(
-                self._pulled, part, population, z[:, units], errors[:, units], weights[:, units]
-            )
-            if self._memo is None:
-                total[:, units] += compute()
-            else:
-                about = repr((part.names, sorted((population.values or {}).items()))).encode()
-                weighted = hashlib.sha256(about + errors[:, units].tobytes() + weights[:, units].tobytes()).hexdigest()
-                total[:, units] += self._memo.recall({"gradients of": weighted}, compute)
+            own = errors[:, units], weights[:, units]
+            compute = functools.partial(self._pulled, part, population, z[:, units], *own)
+            about = part.names, sorted((population.values or {}).items())
+            total[:, units] += self._recalled("gradients of", lambda about=about: about, [*own], compute)
         return total
 
     def _pulled(

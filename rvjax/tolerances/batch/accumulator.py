@@ -6,12 +6,11 @@ import numpy as np
 
 from rvjax.base.files import Arrays, pack, unpack
 from rvjax.population import CentralMoments, Pairwise
-from rvjax.status import SUCCESS, Status
+from rvjax.status import Status, succeeded
 from rvjax.tolerances.batch.quantiles import ExactOrder, Order
 from rvjax.tolerances.batch.shares import Chunks, Processes, take
 from rvjax.tolerances.limits import Limits
 
-_GOOD = [int(status) for status in SUCCESS]
 _GROWING = ("failures", "values", "pilot", "chunks", "waiting", "waiting_streams", "waiting_chunks")
 """Arrays with as many rows as were needed."""
 _MOST_WAITING = 2**21  # values that wait for the bins, 16 MiB, before a process waits for the first
@@ -86,13 +85,13 @@ class Accumulator:
             if wrong.any():
                 if name in self.requirements:
                     wrong &= ~(self.requirements[name].margin(values[name]) < 0)
-                status = np.where(wrong & np.isin(status, _GOOD), int(Status.NONFINITE), status)
+                status = np.where(wrong & succeeded(status), int(Status.NONFINITE), status)
         return status
 
     def add(self, number: int, start: int, values: Arrays, status: np.ndarray) -> None:
         """Add chunk `number`, from unit `start`: values by name (n,) and status (n,), `judged`."""
         self.chunks = self.chunks.plus((number, number + 1))
-        good = np.isin(status, _GOOD)
+        good = succeeded(status)
         complete = bool(good.all())
         if not complete:
             for code in np.unique(status[~good]):
@@ -102,7 +101,7 @@ class Accumulator:
         good_streams = None if streams is None else streams[good]
         joint = None
         for name in self.names:
-            valid = _valid(values[name], good, complete)
+            valid = (values[name] if complete else values[name][good]).astype(np.float64, copy=False)
             finite, its_streams = valid, good_streams
             if (endless := np.isinf(valid)).any():
                 self.infinite[name] += np.bincount(valid[endless] > 0, minlength=2)
@@ -123,7 +122,7 @@ class Accumulator:
 
     def keep(self, start: int, values: Arrays, status: np.ndarray) -> None:
         """Store the responses of units, which may be counted already, if responses are kept."""
-        good = np.isin(status, _GOOD)
+        good = succeeded(status)
         for name, kept in self.values.items():
             kept[start : start + len(status)][good] = values[name][good]
 
@@ -212,7 +211,3 @@ class Accumulator:
             kept = state.get(f"{number}/values", np.empty(0))  # none yet: they are computed again
             mine = self.values[name][: kept.size]
             mine[:] = np.where(np.isnan(mine), kept, mine)
-
-
-def _valid(values: np.ndarray, good: np.ndarray, complete: bool) -> np.ndarray:
-    return (values if complete else values[good]).astype(np.float64, copy=False)

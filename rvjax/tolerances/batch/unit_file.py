@@ -16,7 +16,7 @@ from rvjax.base.fields import elements
 from rvjax.base.files import check_writable, replacing
 from rvjax.population import Population
 from rvjax.records import PyTree
-from rvjax.status import SUCCESS, Status
+from rvjax.status import Status, succeeded
 
 if TYPE_CHECKING:
     from pyarrow import Schema
@@ -98,7 +98,7 @@ def writing(
     with replacing(path) as partial, _TABLES[Path(target.path).suffix].begun(partial, columns, said) as table:
 
         def write(first: int, values: Columns, status: np.ndarray, errors: Columns) -> None:
-            good = np.isin(status, _GOOD)
+            good = succeeded(status)
             numbers = [np.where(good, values[name], np.nan) for name in names]
             for drawn in errors.values():
                 numbers += list(np.asarray(drawn).reshape(-1, drawn.shape[-1])[:, : len(status)])
@@ -122,7 +122,6 @@ def joined(parts: Sequence[Path], path: Path) -> None:
             part.unlink()
 
 
-_GOOD = [int(status) for status in SUCCESS]
 _NAMES = {int(status): status.name for status in Status}
 
 

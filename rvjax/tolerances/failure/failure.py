@@ -216,7 +216,7 @@ class _Search:
 
     def _distance(self, values: np.ndarray) -> np.ndarray:
         """Distance of values within the limits, negative outside; a unit without a value is furthest outside."""
-        return -np.where(np.isnan(values), math.inf, self.requirement.margin(values))
+        return -self.requirement.margins(values)
 
     def differ(self, z: np.ndarray) -> np.ndarray:
         """Mark units (numbers, n) of the rare event; a unit without a value fails."""
