@@ -57,7 +57,7 @@ class _Sampled:
         given = np.array([population.active[name].half_width for name in self.fields], float)
         logs = jnp.asarray(np.log([*self.ends, np.clip(given, *self.ends)]), jnp.result_type(float))
         self.start, self.given = logs[2], _Priced(population, costs, logs[0], logs[1])
-        self.options: dict[str, Any] = dict(fields=self.fields, objective=objective)
+        self.options = dict(fields=self.fields, objective=objective)
 
     def units(self, seed: int, number: int) -> jax.Array:
         """Random numbers (numbers, samples) of a sample; its units follow those of the sample before."""

@@ -209,16 +209,14 @@ class _Sums:
         return not one_decides(float(np.max((self.ends - mean) ** 2)), 2 * float(variance.sum()), 2 * n)
 
     def _share(self, parts: np.ndarray, variances: np.ndarray) -> Estimate:
-        """Return the share of a field; of a variance that is not to be trusted nothing is known, unless it is 0."""
-        share = _share(parts, variances)
+        """Return the share of a field: the ratio of two sums over scrambles.
+
+        Its error comes from the spread of the linearised ratio between them. Of a variance that is not to be trusted
+        nothing is known, unless the share is 0.
+        """
+        whole, share = variances.sum(), Estimate(0.0, 0.0, 0.0, 0.0)
+        if not whole <= 0:
+            ratio = float(parts.sum() / whole)
+            scatter = (parts - ratio * variances) / whole * SCRAMBLES  # of the linearised ratio; its mean is 0
+            share = of_groups(ratio + scatter, ratio, 0.95)
         return unknown_share(share) if parts.any() and not self.trusted else share
-
-
-def _share(parts: np.ndarray, variances: np.ndarray) -> Estimate:
-    """Ratio of two sums over scrambles; its error from the spread of the linearised ratio between them."""
-    whole = variances.sum()
-    if whole <= 0:
-        return Estimate(0.0, 0.0, 0.0, 0.0)
-    ratio = float(parts.sum() / whole)
-    scatter = (parts - ratio * variances) / whole * SCRAMBLES  # of the linearised ratio; its mean is 0
-    return of_groups(ratio + scatter, ratio, 0.95)

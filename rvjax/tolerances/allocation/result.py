@@ -103,7 +103,7 @@ class Allocation:
     multiplier_intervals: dict[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
     curve: list[tuple[float, float]] = dataclasses.field(default_factory=list)
 
-    def to_pandas(self) -> Any:
+    def to_pandas(self) -> "frames.DataFrame":
         """A `pandas.DataFrame`, SI: limits, half-width, cost and grade of each field that has a cost."""
         active = Population.of(self.tolerances, None).active
         rows = [

@@ -5,7 +5,6 @@ share needs the values of the units about a quantile. Units that were far inside
 beyond it at the next. Some of them, spread over all, are solved too and show whether this is so.
 """
 
-import functools
 import hashlib
 import math
 from collections.abc import Callable, Sequence
@@ -103,7 +102,7 @@ class Units:
     def _recalled(
         self, kind: str, about: Callable[[], object], arrays: list[np.ndarray], compute: Callable[[], np.ndarray]
     ) -> np.ndarray:
-        """What the memo holds for these inputs, else the computed array."""
+        """The stored array of these inputs, else the computed one."""
         if self._memo is None:
             return compute()
         inputs = repr(about()).encode() + b"".join(array.tobytes() for array in arrays)
@@ -127,26 +126,28 @@ class Units:
             units = np.flatnonzero(weights.any(axis=0))
             if not len(units):
                 continue
-            own = errors[:, units], weights[:, units]
-            compute = functools.partial(self._pulled, part, population, z[:, units], *own)
-            about = part.names, sorted((population.values or {}).items())
-            total[:, units] += self._recalled("gradients of", lambda about=about: about, [*own], compute)
+            total[:, units] += self._pulled(part, population, z[:, units], errors[:, units], weights[:, units])
         return total
 
     def _pulled(
         self, part: Part, population: Population, z: np.ndarray, errors: np.ndarray, weights: np.ndarray
     ) -> np.ndarray:
         """Gradients (elements and numbers, n) of a part; units whose state is known are not solved again."""
-        if not part.keeps:
-            return part.slopes_of_elements(population, errors, np.zeros((0, errors.shape[1])), weights)
-        known = [(place, state) for own, there, place, state in self._states if own is part and there is population]
-        keys = [column.tobytes() for column in z.T]
-        found = {key: state[:, place[key]] for key in keys for place, state in known if key in place}
-        missing = {key: k for k, key in enumerate(keys) if key not in found}
-        if missing:
-            self.solved += len(missing)
-            found |= zip(missing, part.of_elements(population, errors[:, list(missing.values())])[2].T)
-        return part.slopes_of_elements(population, errors, np.stack([found[key] for key in keys], axis=1), weights)
+
+        def compute() -> np.ndarray:
+            if not part.keeps:
+                return part.slopes_of_elements(population, errors, np.zeros((0, errors.shape[1])), weights)
+            known = [(place, state) for own, there, place, state in self._states if own is part and there is population]
+            keys = [column.tobytes() for column in z.T]
+            found = {key: state[:, place[key]] for key in keys for place, state in known if key in place}
+            missing = {key: k for k, key in enumerate(keys) if key not in found}
+            if missing:
+                self.solved += len(missing)
+                found |= zip(missing, part.of_elements(population, errors[:, list(missing.values())])[2].T)
+            return part.slopes_of_elements(population, errors, np.stack([found[key] for key in keys], axis=1), weights)
+
+        about = part.names, sorted((population.values or {}).items())
+        return self._recalled("gradients of", lambda: about, [errors, weights], compute)
 
     def slope(self, x: np.ndarray, z: np.ndarray, pulled: Values) -> np.ndarray:
         """Derivative (n,) of the sum over units of responses with weights (m,), to the vector of decisions."""

@@ -57,10 +57,6 @@ def check_middles(middles: Mapping[str, Middle], active: Mapping[str, Tolerance]
             raise ValueError(f"middles: {name}: the distribution {law.name} does not move with its limits")
 
 
-OwnCost = Callable[[float], float]
-"""Cost of a number of the design by its value."""
-
-
 @dataclasses.dataclass(frozen=True)
 class Variable:
     """A number of the design that an allocation may choose.
@@ -76,7 +72,7 @@ class Variable:
     lower: float
     upper: float
     start: float | None = None
-    cost: OwnCost | None = None
+    cost: Callable[[float], float] | None = None
     among: Sequence[float] = ()
 
     def __post_init__(self) -> None:
