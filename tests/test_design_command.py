@@ -254,11 +254,11 @@ def test_a_killed_command_continues_from_its_journal(designed, tmp_path, monkeyp
     parts, asked = sys.modules["rvjax.response.parts"], []
     plain = parts.gradients
 
-    def killed(response, population, errors, cotangents, names):
+    def killed(response, population, errors, cotangents):
         asked.append((errors.tobytes(), cotangents.tobytes(), repr(population.values)))
         if len(asked) == 10:
             raise KeyboardInterrupt
-        return plain(response, population, errors, cotangents, names)
+        return plain(response, population, errors, cotangents)
 
     monkeypatch.setattr(parts, "gradients", killed)
     with one_start():
