@@ -126,17 +126,10 @@ def plan(
     certain = all(one.certain for one in slots.values())
     fresh = 1 if certain else min(certificate_draws, max(LEAST_FRESH, most_fresh // supply.units))
     draws = 1 if certain else draws
-    rng = np.random.default_rng([seed % 2**64, 2])
     given = machine, draw(slots, seed, 0, draws, alike=True), draws, requirement, objective == "yield"
-    priced: Costs | OnDemand
+    priced = OnDemand(*given) if too_many(machine, draws, most_valued) else costs(*given)
     with best_so_far(keep_best) as unsearched:
-        if too_many(machine, draws, most_valued):
-            priced = OnDemand(*given)
-            best = chosen_on_demand(priced, supply, objective, starts, rng, most_valued)
-        else:
-            priced = costs(*given)
-            best = chosen(priced, supply, objective, starts, rng, exact_up_to)
-    build, bound, reached, proved = best
+        build, bound, reached, proved = _choice(priced, supply, objective, starts, seed, exact_up_to, most_valued)
     if priced.level:  # nothing to choose by: in the given order
         build = as_they_lie(slots, supply)
     place, drawn = np.array(in_order(build, slots)), draw(slots, seed, 1, fresh, alike=False)
@@ -167,6 +160,22 @@ def plan(
         unsearched=sum(unsearched),
         checks=checks,
     )
+
+
+def _choice(
+    priced: Costs | OnDemand,
+    supply: Supply,
+    objective: str,
+    starts: int,
+    seed: int,
+    exact_up_to: int,
+    most_valued: int,
+) -> tuple[Build, float, float, bool]:
+    """The parts chosen, a bound, the objective reached, and whether it is proved."""
+    rng = np.random.default_rng([seed % 2**64, 2])
+    if isinstance(priced, OnDemand):
+        return chosen_on_demand(priced, supply, objective, starts, rng, most_valued)
+    return chosen(priced, supply, objective, starts, rng, exact_up_to)
 
 
 def _valued(
@@ -209,7 +218,7 @@ def _check(
     for name, count in counts.items():
         if isinstance(count, bool) or not isinstance(count, int) or count < 1:
             raise ValueError(f"{name} = {count!r}: must be a whole number of at least 1")
-    deviate_of(confidence)
+    deviate_of(confidence)  # refuses one outside 0 to 1
 
 
 def _estimate(values: np.ndarray, confidence: float) -> Estimate:
