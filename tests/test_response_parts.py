@@ -3,12 +3,15 @@
 Oracles: the whole response; closed forms of a root and its derivatives.
 """
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rvjax import tolerances
 from rvjax.population import Population
+from rvjax.records import Record, record, text
 from rvjax.response import Part, elements, gradients, status_without_errors, unit_at_mid_points
 from rvjax.roots import solved
 from rvjax.status import Status
@@ -76,10 +79,23 @@ def test_the_unit_at_the_mid_points():
         assert unit_at_mid_points(response, Population.of(limits)) == ({"sum": -8.0, "far": 100.0}, 0)
 
 
+@record
+class Listed(Record):
+    """A costly response that lists its outputs, without twelve numbers beside them."""
+
+    costly: ClassVar[bool] = True
+    outputs: tuple[str, ...] = text("names of the values", default=("peak",))
+
+    def __call__(self, errors):
+        return {"peak": errors["z"]} | {f"curve[{k}]": k * errors["x"][0] for k in range(12)}
+
+
 def test_numbers_beside_the_outputs_are_read_by_name():
-    part = Part(Costly(lambda e: {"curve[0]": e["x"][0], "curve[1]": 2 * e["y"][1], "peak": e["z"]}), population(1.0))
+    """In their order, of which that of their names differs."""
     z = np.random.default_rng(0).normal(size=(13, 5))
-    np.testing.assert_allclose(part.rows(population(3.0), z, "curve"), np.stack([z[0], 2 * z[7]], axis=1))
+    part = Part(Listed(), population(1.0))
+    assert part.names == ("peak",) and part.solve(population(3.0), z)[0].shape == (1, 5)
+    np.testing.assert_allclose(part.rows(population(3.0), z, "curve"), np.outer(z[0], np.arange(12)))
 
 
 @jax.custom_jvp

@@ -35,7 +35,7 @@ Errors = Callable[[np.ndarray], jax.Array]  # of the indices of some units
 Solution = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
-def solve(response: Response, population: Population, count: int, errors: Errors) -> Solution:
+def solve(response: Response, population: Population, count: int, errors: Errors, row: str = "") -> Solution:
     """Solve some units, `SOLVED` in a call.
 
     Args:
@@ -43,9 +43,10 @@ def solve(response: Response, population: Population, count: int, errors: Errors
         population: gives the elements of each field; its tolerances have no effect.
         count: of the units.
         errors: (elements, n) of the active fields, of n of the units.
+        row: numbers row[0], row[1] ... that the response has beside its outputs, in their place.
 
     Returns:
-        Values (k, n) by `response_names`, status (n,) and state (numbers, n), which is what their gradients need.
+        Values (k, n) by `response_names` or of the row, status (n,) and state (numbers, n), which their gradients need.
     """
     size, names = SOLVED.on(units_devices()[0].platform), response_names(response, population)
     mesh, running, rows = mesh_of(size), [], []
@@ -55,6 +56,7 @@ def solve(response: Response, population: Population, count: int, errors: Errors
         given = jnp.where(first + unit < count, errors(np.minimum(first + unit, count - 1)), jnp.nan)
         running.append(_solved(response, population, on(mesh, given), mesh=mesh))
     for named, *others in running:
+        names = tuple(f"{row}[{k}]" for k in range(sum(key.startswith(f"{row}[") for key in named))) if row else names
         found = np.stack([np.asarray(named[name], float) for name in names]), *map(np.asarray, others)
         rows.append([each[..., place.T.ravel()] for each in found])
     values, status, state = (np.concatenate(parts, axis=-1)[..., :count] for parts in zip(*rows))

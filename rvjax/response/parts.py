@@ -16,6 +16,7 @@ import numpy as np
 from rvjax._jax.sizes import AT_ONCE, calls
 from rvjax.population import TURN, Population, SobolPoints, drawn, key_of, root_key
 from rvjax.response.derivatives import (
+    Errors,
     Solution,
     elements,
     gradients,
@@ -72,8 +73,8 @@ class Part:
 
     def rows(self, population: Population, z: np.ndarray, name: str) -> np.ndarray:
         """Numbers name[0], name[1] ... (n, numbers) among the values of units with random numbers z (numbers, n)."""
-        length = sum(key.startswith(f"{name}[") for key in self.names)
-        return self.solve(population, z)[0][[self.names.index(f"{name}[{k}]") for k in range(length)]].T
+        errors: Errors = lambda lanes: elements(population, z[:, lanes])  # noqa: E731
+        return solve(self.response, population, z.shape[1], errors, row=name)[0].T
 
     def one(self, population: Population, errors: np.ndarray) -> tuple[np.ndarray, int]:
         """Values (k,) and status of the unit with errors (elements,), by the program of all the others.
