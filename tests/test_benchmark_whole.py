@@ -8,7 +8,6 @@ import pytest
 from benchmarks import whole
 from rvjax import measured, study
 from rvjax.commands.assemble import bench
-from rvjax.study import problem
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +19,7 @@ def folder(tmp_path_factory):
 
 @pytest.mark.parametrize("name", ["loaded", "four-bar"])
 def test_a_measured_unit_is_read(folder, name):
-    asked = problem.identification_of(study.load(str(folder / f"{name}.toml"), solve=False))
+    asked = study.load(str(folder / f"{name}.toml"), solve=False)
     found = measured.read([str(folder / "unit.csv")], asked.columns)
     assert (found.kind, len(found.runs)) == ("curve", 2)
 
