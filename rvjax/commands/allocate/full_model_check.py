@@ -26,6 +26,9 @@ UNITS = 2 * AT_ONCE
 CONFIDENCE = 0.95
 ANGLES = {"samples": 24, "probe_angles": 4}
 SEED = 5  # added to that of the study
+TURN_ANGLES = 481
+"""Most angles of a turn of the output. Against 1,921 angles 1.0 % of the largest pin pressure of an RV-40E and 1.4 % of
+its transmission error are lost; with 961, in twice the time, 0.3 and 0.5 %."""
 
 
 SHARE = 0.99
@@ -168,6 +171,7 @@ def whole(study: Study, tolerances: object) -> Whole | None:
     given = study.conditions
     if study.costly:
         conditions = over_a_turn(study.design, given, next(iter(outputs)))
+        conditions = dataclasses.replace(conditions, samples=min(conditions.samples, TURN_ANGLES))
     else:
         rated = given.output_torque if given.rated_torque is None else given.rated_torque
         conditions = dataclasses.replace(given, rated_torque=rated, **ANGLES)

@@ -159,7 +159,7 @@ def costs_of_yields(search: Search, end: End, yields: Sequence[float]) -> list[t
             if there.look.excess > 2 * MET:
                 continue
             x = there.look.x
-            points.append((certifier.yield_at(constraints, there.look, fresh_units), there.look.total))
+            points.append((certifier.yield_at(constraints, x, fresh_units), there.look.total))
     return sorted(points)
 
 

@@ -41,6 +41,7 @@ class Certifier:
         self.solved = 0
         """Units solved so far."""
         self._near: NearUnits | None = None
+        self._of_curve: NearUnits | None = None
         self._names = problem.run.names
         """Responses that certificates solve: those of parts in which a limit decides, then all."""
         self._whole: Statistics | None = None
@@ -62,13 +63,7 @@ class Certifier:
                 return self.draw(population)
             self._names = constraints.units.decisive(self.run.names, constraints.aside)
             return self._begun(constraints, population)
-        before = constraints.units.solved
-        values = self._near.values(population, constraints.limits(self._names))
-        self.solved += constraints.units.solved - before
-        constraints.units.solved = before
-        failed = np.any([np.isnan(row) for row in values.values()], axis=0)
-        status = np.where(failed, int(Status.NONFINITE), int(Status.CONVERGED))
-        return self._run(population).of_units(values, status)
+        return self._at(self._near, constraints, self._run(population))
 
     def whole(self, seen: Statistics, constraints: Constraints, x: np.ndarray) -> Statistics:
         """Statistics of all units and responses of a certificate that held; later tests begin with these.
@@ -114,25 +109,35 @@ class Certifier:
 
     def _run(self, population: Population) -> Run:
         """The run of a certificate, with the responses that it solves."""
-        return self._of_names(population, self._names)
+        required = {name: item for name, item in self.run.requirements.items() if name in self._names}
+        return dataclasses.replace(self.run, population=population, names=self._names, requirements=required)
 
-    def _of_names(self, population: Population, names: tuple[str, ...]) -> Run:
-        required = {name: item for name, item in self.run.requirements.items() if name in names}
-        return dataclasses.replace(self.run, population=population, names=names, requirements=required)
+    def yield_at(self, constraints: Constraints, x: np.ndarray, samples: int) -> float:
+        """The least share of independent units that keeps one requirement, at a vector.
 
-    def yield_at(self, constraints: Constraints, look: Look, samples: int) -> float:
-        """The least share of fresh units that keeps one requirement, of those that may decide at a look.
+        Of costly units these are the first ones of the certificate: only those near a limit are solved again.
 
         Args:
             constraints: of the search.
-            look: of the search.
+            x: the vector.
             samples: units, at most those of a certificate.
         """
         samples = min(self.run.samples, samples)
+        run = dataclasses.replace(self._run(constraints.decisions.population(x)), samples=samples, keep=False)
+        if self._near is not None:
+            self._of_curve = self._of_curve or self._near.first(samples)
+            return least_yield(self._at(self._of_curve, constraints, run))
         self.solved += samples
-        names = constraints.units.decisive(self.run.names, constraints.far(look))
-        run = self._of_names(constraints.decisions.population(look.x), names)
-        return least_yield(dataclasses.replace(run, samples=samples, keep=False).statistics())
+        return least_yield(run.statistics())
+
+    def _at(self, near: NearUnits, constraints: Constraints, run: Run) -> Statistics:
+        """Statistics of units of which those near a limit are solved for the population of a run."""
+        before = constraints.units.solved
+        values = near.values(run.population, constraints.limits(run.names))
+        self.solved += constraints.units.solved - before
+        constraints.units.solved = before
+        failed = np.any([np.isnan(row) for row in values.values()], axis=0)
+        return run.of_units(values, np.where(failed, int(Status.NONFINITE), int(Status.CONVERGED)))
 
     def holds(self, statistics: Statistics) -> bool:
         """True if every requirement is met for certain, and the joint target if there is one."""

@@ -213,6 +213,10 @@ class NearUnits:
         self.z, self._units, self._known = z, units, known
         self._latest: list[tuple[Population, list[float], Values]] = []
 
+    def first(self, count: int) -> "NearUnits":
+        """The first so many of the units, with their known values."""
+        return NearUnits(self._units, self.z[:, :count], {name: row[:count] for name, row in self._known.items()})
+
     def values(self, population: Population, limits: Sequence[Limited]) -> Values:
         """Values (n,) by name at another vector; of units far inside every limit those of the last known one.
 
