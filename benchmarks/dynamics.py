@@ -112,7 +112,7 @@ def sweep() -> dict:
         return np.abs(np.linalg.solve(matrix, rhs)[:, -1, 0]).reshape(-1, HARMONICS)
 
     block = dynamics.blocks(design).rotational
-    basis = dynamics.symmetry.sector(4, 3, "rotational").basis
+    basis = dynamics.symmetry.sector(4, 3, "rotational")
     excited = np.array([4, 8])
     candidates = {"rvjax": lambda: program(*arguments), "NumPy dense": dense}
     library = timing.c_library(C_SOURCE)

@@ -11,7 +11,7 @@ import numpy as np
 
 from rvjax.base.words import choose
 from rvjax.bearings import Bearings, Friction
-from rvjax.designs import Contact, CycloidStage
+from rvjax.designs import Contact, CycloidStage, RVReducer, check_teeth
 from rvjax.errors import RUNNING, Errors, RVErrors, centre, deviation, part, placed, share
 from rvjax.records import Record, Scalar, concrete, count, field, quantity, record, text
 
@@ -238,10 +238,7 @@ class CycloidalReducer(Record):
     def _check(self) -> None:
         choose("CycloidalReducer.member", self.member, MEMBERS)
         cycloid, output = self.cycloid, self.output
-        if cycloid.pin_count != cycloid.disc_teeth + 1:
-            raise ValueError(
-                f"CycloidStage.pin_count = {cycloid.pin_count}: must be disc_teeth + 1 = {cycloid.disc_teeth + 1}"
-            )
+        check_teeth(cycloid)
         if concrete(cycloid.eccentricity, output.hole_clearance):
             room = np.asarray(cycloid.eccentricity) + np.asarray(output.hole_clearance) / 2
             if np.any(room <= 0):
@@ -249,3 +246,8 @@ class CycloidalReducer(Record):
                     f"OutputPins.hole_clearance = {quantity(output.hole_clearance, 'm')}: must be larger than "
                     f"-2 eccentricity = {quantity(-2 * cycloid.eccentricity, 'm')}: holes are larger than their pins"
                 )
+
+
+Reducer = RVReducer | CycloidalReducer
+ReducerErrors = RVErrors | CycloidalErrors
+"""Designs with cycloid discs, and the errors of their parts."""

@@ -324,6 +324,22 @@ class CamRollerReducer(Record):
             )
 
 
+def check_teeth(cycloid: CycloidStage, where: str = "CycloidStage", model: str = "") -> None:
+    """Raise ValueError for another tooth difference than one.
+
+    Args:
+        cycloid: its counts.
+        where: name of the stage, for the message.
+        model: end of the message.
+
+    Raises:
+        ValueError: names both counts.
+    """
+    pins, wanted = cycloid.pin_count, cycloid.disc_teeth + 1
+    if pins != wanted:
+        raise ValueError(f"{where}.pin_count = {pins}: must be disc_teeth + 1 = {wanted}{model}")
+
+
 def expect(design: object, where: str, *kinds: type) -> None:
     """Raise ValueError for a design of the wrong class; only the class is read, so that a compiled call costs nothing.
 

@@ -19,8 +19,7 @@ import numpy as np
 
 from rvjax.base.fields import axis_sizes
 from rvjax.base.words import unknown
-from rvjax.cycloidal import CycloidalReducer
-from rvjax.designs import RVReducer
+from rvjax.cycloidal import Reducer
 from rvjax.errors import described
 from rvjax.records import Array, Design, PyTree, Scalar
 
@@ -68,7 +67,7 @@ def disc_mountings(design: PyTree, slot: int, *, made_for: int = 0) -> tuple[Mou
 
 
 def mounted_disc(
-    design: RVReducer | CycloidalReducer,
+    design: Reducer,
     errors: Mapping[str, Scalar],
     slot: int,
     index: int | Array,
@@ -121,9 +120,7 @@ def mounted_disc(
     return found
 
 
-def unit_errors(
-    design: RVReducer | CycloidalReducer, parts: Mapping[str, Mapping[str, Scalar]], index: Mapping[str, int | Array]
-) -> PyTree:
+def unit_errors(design: Reducer, parts: Mapping[str, Mapping[str, Scalar]], index: Mapping[str, int | Array]) -> PyTree:
     """Errors of a unit from its parts, in the error record of the design.
 
     Slots: "disc_0", "disc_1" .. (made for slot 0 where such a disc fits, else for their own), "carrier", of an RV

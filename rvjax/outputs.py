@@ -5,6 +5,7 @@ ways by which its levels are measured. `rvjax.models` collects what there is for
 """
 
 import dataclasses
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -111,6 +112,16 @@ class Reading:
             if source not in found:
                 found[source] = source(design, errors, given)
         return self.take(*(found[source] for source in sources), design, given)
+
+
+def number_of(name: str) -> Callable[..., Solved]:
+    """`take` of a `Reading` of one result: a number of it by name, and its status.
+
+    Args:
+        name: field of the result.
+    """
+    both: Callable[..., Solved] = operator.attrgetter(name, "info.status")
+    return lambda result, design, conditions: both(result)
 
 
 @dataclass(frozen=True)

@@ -233,6 +233,22 @@ def signs_hold(item: Record) -> jax.Array:
     return sound
 
 
+def check_shapes(parts: Iterable[Record], counts: Mapping[str, int]) -> None:
+    """Raise ValueError for an array field that does not fit a design.
+
+    Args:
+        parts: records.
+        counts: sizes of the named axes.
+
+    Raises:
+        ValueError: names the field, its shape and the one that fits.
+    """
+    for part in parts:
+        for f in dataclasses.fields(part):
+            if f.metadata["kind"] == "real":
+                fit(f"{type(part).__name__}.{f.name}", getattr(part, f.name), f.metadata["shape"], counts)
+
+
 def promote(*trees: object) -> PyTree:
     """Bring every number in `trees` to their common floating dtype.
 

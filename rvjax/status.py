@@ -191,6 +191,22 @@ class Gate(NamedTuple):
         values = jax.tree.map(lambda value: jnp.where(known, value, jnp.nan), values)
         return values, SolveInfo(status, info.steps, info.residual)
 
+    def close_all(self, values: object, infos: SolveInfo, idle: Array | bool = False) -> tuple[PyTree, SolveInfo]:
+        """`close` of a result of several solves: NaN unless all succeed; steps of all, largest residual.
+
+        Args:
+            values: floating results.
+            infos: of the solves.
+            idle: whether a success counts as UNLOADED.
+        """
+        state = worst(infos.status)
+        ended = jnp.where(idle, int(Status.UNLOADED), int(Status.CONVERGED))
+        state = jnp.where(succeeded(state), ended, state).astype(jnp.int32)
+        whole = SolveInfo(state, jnp.sum(infos.steps), jnp.max(infos.residual))
+        values, info = self.close(values, info=whole)
+        fine = succeeded(info.status)
+        return jax.tree.map(lambda value: jnp.where(fine, value, jnp.nan), values), info
+
 
 def admit(inputs: object, harmless: object, *checks: Check, after: Gate | None = None) -> tuple[PyTree, Gate]:
     """The inputs with harmless numbers in the place of every case outside a model's domain, and its gate.

@@ -8,8 +8,8 @@ import pytest
 from cycloidal_cases import NAMED, design_of, dictionaries, drawn, errors_of
 
 from rvjax import CycloidalErrors, RVErrors, loaded
-from rvjax.loaded.cycloidal import drive_laws
-from rvjax.loaded.cycloidal_gaps import Unknowns, drive_at, drive_gaps, drive_rows
+from rvjax.loaded.cycloidal import drive_laws, layout
+from rvjax.loaded.cycloidal_gaps import drive_at, drive_gaps, drive_rows
 from rvjax.loaded.equilibrium import check_input
 from rvjax.units import um
 from tests.oracles import cycloidal as oracle
@@ -19,13 +19,17 @@ RING = design_of(NAMED["ring13: fit, errors"]["design"])
 DRIVES = {"carrier, two discs": (TWO, False, False), "ring, one disc": (RING, True, True)}
 
 
+def layout_of(design):
+    """A held shaft has a floating carrier here."""
+    carrier = "fixed" if design.stiffness.shaft_support is None else "floating"
+    return layout(design, CycloidalErrors(), "hertz", carrier, "fixed")
+
+
 @jax.jit
 def contacts(design, errors, angle):
     e = design.cycloid.eccentricity + errors.eccentricity
     at = drive_at(design, e, angle)
-    held = design.stiffness.shaft_support is not None
-    unknowns = Unknowns(design.cycloid.disc_count, held, held)
-    return drive_gaps(design, errors, at, e), drive_rows(design, unknowns, at)
+    return drive_gaps(design, errors, at, e), drive_rows(design, layout_of(design), at)
 
 
 @pytest.mark.parametrize("name", DRIVES)
@@ -33,7 +37,7 @@ def test_gaps_and_rows_are_those_of_the_independent_model(name):
     design, floats, held = DRIVES[name]
     given, rng = dictionaries(design), np.random.default_rng(11)
     sizes = tuple(design.counts[axis] for axis in ("discs", "pins", "teeth", "output_pins"))
-    unknowns, length = Unknowns(sizes[0], floats, held), design.output.circle_radius
+    total, length = layout_of(design).unknowns, design.output.circle_radius
     for angle in (0.0, 0.7, -23.0, 410.0):
         errors = drawn(rng, sizes)
         found, rows = contacts(design, errors_of(errors), angle)
@@ -44,14 +48,14 @@ def test_gaps_and_rows_are_those_of_the_independent_model(name):
         # the oracle has rotations in rad, and the shaft before the carrier
         turns, alpha = [3 * k + 2 for k in range(sizes[0])], 3 * sizes[0]
         order = [*range(alpha + 1), *(alpha + 1 + i for i in ((2, 3, 0, 1) if floats and held else ()))]
-        scale = np.ones(unknowns.total)
+        scale = np.ones(total)
         scale[[*turns, alpha]] = 1 / length
-        pins = np.zeros((sizes[0], sizes[1], unknowns.total))
+        pins = np.zeros((sizes[0], sizes[1], total))
         for k in range(sizes[0]):
             pins[k, :, 3 * k : 3 * k + 3] = np.moveaxis(np.asarray(rows.pins)[:, k], 0, -1)
         for mine, theirs in (
-            (pins.reshape(-1, unknowns.total), due.groups[0].rows),
-            (np.asarray(rows.holes).reshape(-1, unknowns.total), due.groups[1].rows),
+            (pins.reshape(-1, total), due.groups[0].rows),
+            (np.asarray(rows.holes).reshape(-1, total), due.groups[1].rows),
             (rows.bearings, due.bearing_rows),
         ):
             np.testing.assert_allclose(mine, (theirs * scale)[..., np.argsort(np.argsort(order))], rtol=0, atol=1e-11)

@@ -242,6 +242,36 @@ def stored(compute: Callable[..., Result], *arguments: object) -> Result:
     )
 
 
+def block_by_block(function: Callable[[State], Result], arguments: State, width: int) -> Result:
+    """`function` of a batch, a block of cases at a time: what a block needs stays in the cache.
+
+    Args:
+        function: of leaves with `width` cases first, or 1 where all share it, to leaves with as many cases.
+        arguments: leaves with the cases first, or 1.
+        width: cases of a block, at most those of the batch.
+    """
+    cases = max(len(leaf) for leaf in jax.tree.leaves(arguments))
+    if cases == width:
+        return function(arguments)
+
+    @jax.jit  # traced once
+    def block(first: jax.Array) -> Result:
+        def part(leaf: jax.Array) -> jax.Array:
+            return leaf if len(leaf) == 1 else jax.lax.dynamic_slice_in_dim(leaf, first, width)
+
+        return function(jax.tree.map(part, arguments))
+
+    def write(number: jax.Array, results: Result) -> Result:
+        first = jnp.minimum(number * width, cases - width)  # the last block overlaps: no case depends on its neighbours
+        return jax.tree.map(
+            lambda all_, new: jax.lax.dynamic_update_slice_in_dim(all_, new, first, 0), results, block(first)
+        )
+
+    shapes = jax.eval_shape(block, jnp.int32(0))
+    nothing = jax.tree.map(lambda x: jnp.zeros((cases, *x.shape[1:]), x.dtype), shapes)
+    return jax.lax.fori_loop(jnp.int32(0), jnp.int32(-(-cases // width)), write, nothing)
+
+
 def in_blocks(function: Callable[..., object], size: int, *arrays: np.ndarray) -> PyTree:
     """Evaluate rows block by block on the host: one program for any number of rows, bounded memory.
 

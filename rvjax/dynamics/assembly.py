@@ -19,14 +19,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.base.fields import axis_sizes, fit
+from rvjax.base.fields import axis_sizes
 from rvjax.catalogue import RV_320E
-from rvjax.designs import Damping, Inertia, MeshVariation, RVReducer, Stiffness, expect, ratio_of
+from rvjax.designs import Damping, Inertia, MeshVariation, RVReducer, Stiffness, check_teeth, expect, ratio_of
 from rvjax.records import (
     Array,
     PyTree,
     Record,
     Scalar,
+    check_shapes,
     concrete,
     count,
     field,
@@ -99,17 +100,12 @@ def lump(design: RVReducer | Lumped) -> Lumped:
         missing = "inertia" if design.inertia is None else "stiffness"
         raise ValueError(f"RVReducer.{missing} = None: the dynamic model needs it")
     stage = design.cycloid
-    if stage.pin_count != stage.disc_teeth + 1:
-        raise ValueError(
-            f"CycloidStage.pin_count = {stage.pin_count}: must be disc_teeth + 1 = {stage.disc_teeth + 1} (dynamics)"
-        )
+    check_teeth(stage, model=" (dynamics)")
     for name in ("planet_crank_torsion", "disc_pin_mesh", "turning_arm_bearing"):
         value = getattr(design.stiffness, name)
         if concrete(value) and np.any(np.asarray(value) == 0):
             raise ValueError(f"Stiffness.{name} = 0: no path for the torque; must be positive")
-    for part in (design.inertia, design.stiffness):
-        for f in fields(part):
-            fit(f"{type(part).__name__}.{f.name}", getattr(part, f.name), f.metadata["shape"], design.counts)
+    check_shapes([design.inertia, design.stiffness], design.counts)
     return Lumped(
         cranks=design.cranks.count,
         discs=stage.disc_count,
@@ -275,6 +271,17 @@ def clean_direction(angle: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     direction = np.stack([np.cos(angle), np.sin(angle)])
     direction[np.abs(direction) < 1e-15] = 0
     return direction[0], direction[1]
+
+
+def roots_of_one(count: int, steps: np.ndarray) -> np.ndarray:
+    """e^{2 pi i steps / count} from integer steps: no rounding however many, with clean zeros."""
+    cosine, sine = circle(count)
+    return cosine[steps % count] + 1j * sine[steps % count]
+
+
+def waves(members: int, steps: int) -> np.ndarray:
+    """e^{2 pi i steps j / members} of members j = 0 .."""
+    return roots_of_one(members, steps * np.arange(members))
 
 
 def first_index(cranks: int, discs: int) -> dict[str, int]:

@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.dynamics.assembly import Lumped, spring_table
+from rvjax.dynamics.assembly import Lumped, spring_table, waves
 from rvjax.dynamics.error_excitation import (
     SPRINGS,
     Orders,
@@ -32,7 +32,6 @@ from rvjax.dynamics.error_excitation import (
     sun_order,
     turned,
     vector,
-    waves,
 )
 from rvjax.dynamics.error_transfer import KEY, Balanced, output_rows, rotations, static_deflection, transfer
 from rvjax.dynamics.excitation import MESH, constants, mesh_count, phases, wave_coefficients

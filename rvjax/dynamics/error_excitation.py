@@ -25,7 +25,7 @@ from numpy.polynomial.legendre import leggauss
 from rvjax.base.fields import fit
 from rvjax.catalogue import checked
 from rvjax.designs import RVReducer, expect
-from rvjax.dynamics.assembly import Lumped, admitted, circle, loaded, lump
+from rvjax.dynamics.assembly import Lumped, admitted, loaded, lump, roots_of_one, waves
 from rvjax.dynamics.excitation import constants, in_phase
 from rvjax.errors import RVErrors, described, read_by
 from rvjax.records import Array, PyTree, Record, Scalar, field, promote, record, text
@@ -285,13 +285,6 @@ def mean_of(values: jax.Array, wave: np.ndarray) -> jax.Array:
     return jnp.mean(values * constants(wave, values))
 
 
-def waves(members: int, steps: int) -> np.ndarray:
-    """e^{2 pi i steps j / members} of members j = 0 .., from integer steps."""
-    cosine, sine = circle(members)
-    places = steps * np.arange(members) % members
-    return cosine[places] + 1j * sine[places]
-
-
 def turned(angle: Scalar) -> jax.Array:
     """e^{i angle}."""
     return _complex(jnp.cos(angle), jnp.sin(angle))
@@ -330,12 +323,10 @@ def series(
         jnp.matmul(seen * (share * weight)[None, :], jnp.asarray(part, share.dtype)) for part in (turn.real, turn.imag)
     )
 
-    c, s = circle(pins)
-    places = np.outer(harmonics, np.arange(pins)) % pins
     sign = np.where(harmonics % 2, -1.0, 1.0)  # pin 0 lies at pi
-    waves = sign[:, None] * (c[places] + 1j * s[places])
+    around = sign[:, None] * roots_of_one(pins, np.outer(harmonics, np.arange(pins)))
     plane = vector(offset)
-    sums = jnp.stack([_sum(x, waves) for x in (plane.real, plane.imag, radii)])
+    sums = jnp.stack([_sum(x, around) for x in (plane.real, plane.imag, radii)])
     phase = jnp.asarray(-harmonics, share.dtype) * lumped.disc_phase
     factor = jnp.asarray(np.where(harmonics == 0, 1.0, 2.0), phase.dtype)
     turned = jax.lax.complex(factor * jnp.cos(phase), factor * jnp.sin(phase))

@@ -26,7 +26,7 @@ from rvjax.dynamics.error_transfer import (
     static_deflection,
     transfer,
 )
-from rvjax.dynamics.excitation import check_stage
+from rvjax.dynamics.excitation import STAGES
 from rvjax.dynamics.response import METHODS
 from rvjax.errors import RVErrors
 from rvjax.records import Array, Record, Scalar, field, record, text
@@ -84,7 +84,7 @@ def transmission_error(
             that differ, errors that do not fit the design, or as `rvjax.dynamics.lump`.
     """
     case, outputs = case_of(design, errors, pin_harmonics, load_inertia), check_outputs(outputs)
-    check_stage(stage)
+    choose("stage", stage, STAGES)
     choose("method", method, METHODS)
     if harmonics < 1:
         raise ValueError(f"harmonics = {harmonics}: must be at least 1")

@@ -24,14 +24,7 @@ from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped
 from rvjax.dynamics.error_excitation import Case, Orders, case_of, error_orders, generators, read
 from rvjax.dynamics.error_response import curve_range
-from rvjax.dynamics.error_transfer import (
-    KEY,
-    check_outputs,
-    close,
-    output_rows,
-    output_speed,
-    transfer,
-)
+from rvjax.dynamics.error_transfer import KEY, check_outputs, close, output_rows, output_speed, transfer
 from rvjax.dynamics.modes import modal_sectors
 from rvjax.errors import RVErrors
 from rvjax.records import Array, Record, Scalar, concrete, field, record, text

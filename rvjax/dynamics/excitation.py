@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rvjax.base.words import choose, unknown
-from rvjax.dynamics.assembly import Lumped, circle, spring_table
+from rvjax.base.words import unknown
+from rvjax.dynamics.assembly import Lumped, roots_of_one, spring_table
 from rvjax.dynamics.modes import Key, ModalSector
 from rvjax.dynamics.symmetry import is_split, is_symmetric
 from rvjax.records import PyTree, Scalar
@@ -21,7 +21,7 @@ class Stage(NamedTuple):
     mesh: str  # its springs
     sector: str  # of the symmetry, in which its meshes work against each other
     count: Callable[[Lumped], int]
-    teeth: Callable[[Lumped], int]  # that set the phases between the meshes
+    teeth: Callable[[Lumped], int]  # that set the phases between the meshes: of the sun; pins seen from the eccentric
     frequency: Callable[[Lumped, PyTree], PyTree]  # meshes in a turn of the sun, from sun speed over output speed
 
 
@@ -37,26 +37,11 @@ _STAGES = {
 }  # fmt: skip
 STAGES = tuple(_STAGES)
 MESH = {name: stage.mesh for name, stage in _STAGES.items()}
-SECTOR = {name: stage.sector for name, stage in _STAGES.items()}
-
-
-def check_stage(stage: str) -> None:
-    """Raise ValueError for an unknown stage.
-
-    Raises:
-        ValueError: names the stages.
-    """
-    choose("stage", stage, STAGES)
 
 
 def mesh_count(lumped: Lumped, stage: str) -> int:
     """Meshes of a stage: one for each planet, or one for each disc."""
     return _STAGES[stage].count(lumped)
-
-
-def mesh_teeth(lumped: Lumped, stage: str) -> int:
-    """Teeth that set the phases between the meshes: of the sun; pins of the ring, seen from the eccentric."""
-    return _STAGES[stage].teeth(lumped)
 
 
 def mesh_frequency(lumped: Lumped, sun_speed: Scalar, stage: str) -> PyTree:
@@ -85,9 +70,7 @@ def _sinc(x: jax.Array) -> jax.Array:
 
 def phases(lumped: Lumped, stage: str, harmonics: np.ndarray) -> np.ndarray:
     """e^{i l ph_i} of every mesh (harmonics, meshes), from integer steps: no rounding at high harmonics."""
-    cosine, sine = circle(mesh_count(lumped, stage))
-    steps = np.outer(harmonics, _phase_steps(lumped, stage)) % mesh_count(lumped, stage)
-    return cosine[steps] + 1j * sine[steps]
+    return roots_of_one(mesh_count(lumped, stage), np.outer(harmonics, _phase_steps(lumped, stage)))
 
 
 def mesh_phases(lumped: Lumped, stage: str) -> np.ndarray:
@@ -97,7 +80,7 @@ def mesh_phases(lumped: Lumped, stage: str) -> np.ndarray:
 
 def _phase_steps(lumped: Lumped, stage: str) -> np.ndarray:
     number = mesh_count(lumped, stage)
-    return mesh_teeth(lumped, stage) * np.arange(number) % number
+    return _STAGES[stage].teeth(lumped) * np.arange(number) % number
 
 
 OUTPUTS = ("output.x", "output.y", "output.rotation")
@@ -125,9 +108,8 @@ class Share(NamedTuple):
 
 def shares(lumped: Lumped, stage: str, harmonics: int) -> tuple[Share, ...]:
     """Sector that each mesh harmonic excites: label k = l teeth mod members of the stage; else the whole model."""
-    symmetric = is_symmetric(lumped)
-    split = is_split(lumped.cranks, lumped.discs)
-    return _shares(mesh_count(lumped, stage), SECTOR[stage], symmetric, split, mesh_teeth(lumped, stage), harmonics)
+    of_stage, symmetric, split = _STAGES[stage], is_symmetric(lumped), is_split(lumped.cranks, lumped.discs)
+    return _shares(of_stage.count(lumped), of_stage.sector, symmetric, split, of_stage.teeth(lumped), harmonics)
 
 
 @lru_cache

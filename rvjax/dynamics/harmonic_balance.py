@@ -62,7 +62,7 @@ def solve_cyclic(lumped: Lumped, w: Array, torques: Torques, stage: str, harmoni
     orders_used = [share.harmonics for share in parts]
     absent = constants(0, w)
     gamma = jnp.concatenate([constants(rows_0[:1] @ x_0, w), in_order(orders_used, own, harmonics, absent)])
-    basis = jnp.asarray(sector(lumped.cranks, lumped.discs, kind).basis[indices], mean.dtype)
+    basis = jnp.asarray(sector(lumped.cranks, lumped.discs, kind)[indices], mean.dtype)
     shown = [
         constants((basis @ x_0)[None], w),
         in_order(orders_used, shown, harmonics, jnp.stack([absent] * len(indices))),
@@ -163,7 +163,7 @@ def solve_first_order(
     used = [
         share
         for share in shares(lumped, stage, harmonics)
-        if np.any(sector(lumped.cranks, lumped.discs, *share.key).basis[indices])
+        if np.any(sector(lumped.cranks, lumped.discs, *share.key)[indices])
     ]
     sectors = modal_sectors(lumped, [share.key for share in used])
     rows, distances, singular, misses = [], [], [state.singular], [state.residual]
@@ -187,7 +187,7 @@ def solve_first_order(
         misses.append(residual(modal, z, solution, rhs[:, :, None]))
 
     orders_used = [share.harmonics for share in used]
-    basis = sector(lumped.cranks, lumped.discs, kind).basis
+    basis = sector(lumped.cranks, lumped.discs, kind)
     return Solved(
         amplitude=in_order(orders_used, rows, harmonics, constants(np.zeros(len(indices)), w)),
         mean=jnp.asarray(basis[indices], mean.dtype) @ mean,

@@ -15,14 +15,7 @@ import numpy as np
 
 from rvjax.catalogue import checked
 from rvjax.designs import RVReducer
-from rvjax.dynamics.assembly import (
-    Lumped,
-    admitted,
-    deflections,
-    loaded,
-    lump,
-    spring_stiffness,
-)
+from rvjax.dynamics.assembly import Lumped, admitted, deflections, loaded, lump, spring_stiffness
 from rvjax.dynamics.symmetry import KINDS, WHOLE, kinds, sector, sector_mass, sector_rows, sector_stiffness
 from rvjax.records import Array, PyTree, Record, Scalar, field, record
 from rvjax.status import SolveInfo, Status, at_once
@@ -69,7 +62,7 @@ def modal_sectors(lumped: Lumped, keys: Sequence[Key]) -> dict[Key, ModalSector]
         stiffness = springs.conj().T @ (k.astype(dtype)[:, None] * springs)
         # A sum of squares: low frequencies keep their relative accuracy, which eigenvalues do not.
         square = jax.lax.stop_gradient(jnp.sum(k[:, None] * jnp.abs(springs) ** 2, axis=0))
-        basis = sector(lumped.cranks, lumped.discs, kind, label).basis
+        basis = sector(lumped.cranks, lumped.discs, kind, label)
         sectors[kind, label] = ModalSector(basis, transform, springs, stiffness, square)
     return sectors
 
@@ -238,7 +231,7 @@ def _modes(lumped: Lumped, load_inertia: Array) -> Modes:
         own = root[:, None] * vectors[i, : len(root), : len(root)]
         springs = deflections(lumped, sector_rows(lumped.cranks, lumped.discs, *key)) @ own
         squares.append(jnp.sum(k[:, None] * springs**2, axis=0))  # a sum of squares keeps small ones accurate
-        shapes.append(jnp.asarray(sector(lumped.cranks, lumped.discs, *key).basis, own.dtype) @ own)
+        shapes.append(jnp.asarray(sector(lumped.cranks, lumped.discs, *key), own.dtype) @ own)
         codes += [KINDS.index(key[0])] * len(root)
     square, shape = jnp.concatenate(squares), jnp.concatenate(shapes, axis=1)
     order = jnp.argsort(square)

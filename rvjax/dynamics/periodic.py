@@ -13,10 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.kernels import scan
+from rvjax.base.words import choose
 from rvjax.catalogue import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted, lump, spring_table
-from rvjax.dynamics.excitation import MESH, OUTPUTS, check_stage, mesh_frequency, mesh_phases, output_indices
+from rvjax.dynamics.excitation import MESH, OUTPUTS, STAGES, mesh_frequency, mesh_phases, output_indices
 from rvjax.dynamics.modes import ModalSector, matrix_root, modal_sectors
 from rvjax.dynamics.static import linear_ratio, mesh_stiffness, solve
 from rvjax.records import Array, PyTree, Record, Scalar, concrete, field, record, text
@@ -102,7 +103,7 @@ def floquet(design: RVReducer | Lumped, *, sun_speed: Scalar, stage: str = "plan
 
 
 def _check(lumped: Lumped, stage: str) -> Lumped:
-    check_stage(stage)
+    choose("stage", stage, STAGES)
     for name, value in (
         (f"MeshVariation.{stage}_ramp", getattr(lumped.mesh_variation, f"{stage}_ramp")),
         ("Damping.loss_factor", lumped.damping.loss_factor),

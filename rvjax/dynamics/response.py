@@ -14,12 +14,7 @@ from rvjax.base.words import choose
 from rvjax.catalogue import checked
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import Lumped, admitted, lump
-from rvjax.dynamics.excitation import (
-    OUTPUTS,
-    check_stage,
-    mesh_frequency,
-    output_indices,
-)
+from rvjax.dynamics.excitation import OUTPUTS, STAGES, mesh_frequency, output_indices
 from rvjax.dynamics.harmonic_balance import solve_cyclic, solve_first_order, solve_mesh
 from rvjax.dynamics.static import Torques, balancing_torque
 from rvjax.dynamics.symmetry import is_symmetric
@@ -120,7 +115,7 @@ def constant_forcing(
 
 def _checked(design: RVReducer | Lumped, stage: str, outputs: Sequence[str] | None) -> tuple[Lumped, tuple[str, ...]]:
     lumped, outputs = lump(design), OUTPUTS if outputs is None else tuple(outputs)
-    check_stage(stage)
+    choose("stage", stage, STAGES)
     output_indices(lumped, outputs)
     return lumped, outputs
 

@@ -176,7 +176,7 @@ def _static(lumped: Lumped, output_torque: Array, sun_torque: Array | None) -> S
     sun_torque = balancing_torque(lumped, output_torque) if sun_torque is None else sun_torque
     kind = torque_kind(lumped)
     state = mean_state(lumped, kind, sun_torque, output_torque)
-    basis = sector(lumped.cranks, lumped.discs, kind).basis
+    basis = sector(lumped.cranks, lumped.discs, kind)
     mean = state.solution[:, 0]
     deflection = jnp.asarray(basis, mean.dtype) @ mean
     forces = [

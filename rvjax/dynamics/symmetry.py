@@ -14,7 +14,6 @@ system.
 """
 
 from functools import lru_cache
-from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -22,13 +21,13 @@ import numpy as np
 from rvjax.designs import RVReducer
 from rvjax.dynamics.assembly import (
     Lumped,
-    circle,
     deflections,
     first_index,
     lump,
     mass_vector,
     spring_stiffness,
     spring_table,
+    waves,
 )
 from rvjax.records import Array, Record, count, field, promote, record
 
@@ -55,21 +54,15 @@ class Blocks(Record):
     disc: Block | None = field("-", "discs alone; None for N = 3", kind="record", default=None)
 
 
-class Sector(NamedTuple):
-    """A subspace that the mean system maps into itself; constants of a layout."""
-
-    kind: str
-    basis: np.ndarray  # (n, r), orthonormal columns; where complex, the conjugate basis spans another copy
-
-
 @lru_cache
-def sector(cranks: int, discs: int, kind: str, label: int = 0) -> Sector:
-    """Return the sector of one kind; `label` k chooses the copy of a planetary or disc sector.
+def sector(cranks: int, discs: int, kind: str, label: int = 0) -> np.ndarray:
+    """Basis (n, r) of a subspace that the mean system maps into itself; a constant of a layout.
 
-    The label WHOLE selects all copies of a kind together, on a real basis.
+    Its columns are orthonormal; where it is complex, the conjugate basis spans another copy. `label` k chooses the copy
+    of a planetary or disc sector; the label WHOLE selects all copies of a kind together, on a real basis.
     """
     if label == WHOLE:
-        return Sector(kind, _real_basis(cranks, discs, kind))
+        return _real_basis(cranks, discs, kind)
     start = first_index(cranks, discs)
     size = start["output"] + 3
     columns: list[np.ndarray] = []
@@ -86,38 +79,33 @@ def sector(cranks: int, discs: int, kind: str, label: int = 0) -> Sector:
             column[start[part] + axis : start[part] + 3 * len(wave) : 3] = wave
             columns.append(column)
 
-    def wave(number: int, k: int) -> np.ndarray:
-        c, s = circle(number)
-        turns = (k * np.arange(number)) % number
-        return c[turns] + 1j * s[turns]
-
     if kind == "coupled":
-        return Sector(kind, np.eye(size))
+        return np.eye(size)
     if kind == "rotational":
         central("sun", 0, 0, 1)
         for part, number in (("planet", cranks), ("crank", cranks), ("disc", discs)):
-            members(part, wave(number, 0))
+            members(part, waves(number, 0))
         central("output", 0, 0, 1)
     elif kind == "translational" and is_split(cranks, discs):
         central("sun", np.sqrt(0.5), 1j * np.sqrt(0.5), 0)
         for part, number in (("planet", cranks), ("crank", cranks), ("disc", discs)):
-            members(part, wave(number, 1))
+            members(part, waves(number, 1))
         central("output", np.sqrt(0.5), 1j * np.sqrt(0.5), 0)
     elif kind == "translational":
         central("sun", 1, 0, 0)
         central("sun", 0, 1, 0)
         for part, number in (("planet", cranks), ("crank", cranks), ("disc", discs)):
-            members(part, wave(number, 1).real)
+            members(part, waves(number, 1).real)
             if number > 2:
-                members(part, wave(number, 1).imag)
+                members(part, waves(number, 1).imag)
         central("output", 1, 0, 0)
         central("output", 0, 1, 0)
     else:
         number = cranks if kind == "planetary" else discs
         for part in ("planet", "crank") if kind == "planetary" else ("disc",):
-            members(part, wave(number, label))
+            members(part, waves(number, label))
     basis = np.stack(columns, 1)
-    return Sector(kind, basis if np.abs(basis.imag).max() > 0 else basis.real)
+    return basis if np.abs(basis.imag).max() > 0 else basis.real
 
 
 def is_split(cranks: int, discs: int) -> bool:
@@ -143,7 +131,7 @@ def _real_basis(cranks: int, discs: int, kind: str) -> np.ndarray:
     labels = [0] if number is None else range(2, number // 2 + 1)
     rows: list[np.ndarray] = []
     for label in labels:
-        basis = sector(cranks, discs, kind, label).basis
+        basis = sector(cranks, discs, kind, label)
         rows += [basis.real * 2**0.5, basis.imag * 2**0.5] if np.iscomplexobj(basis) else [basis]
     return np.concatenate(rows, axis=1)
 
@@ -151,12 +139,12 @@ def _real_basis(cranks: int, discs: int, kind: str) -> np.ndarray:
 @lru_cache
 def sector_rows(cranks: int, discs: int, kind: str, label: int = 0) -> np.ndarray:
     """Deflection table of a sector (13, springs, r): `spring_table` rows times the basis."""
-    return spring_table(cranks, discs).rows @ sector(cranks, discs, kind, label).basis
+    return spring_table(cranks, discs).rows @ sector(cranks, discs, kind, label)
 
 
 def sector_mass(lumped: Lumped, kind: str, label: int = 0) -> jax.Array:
     """Mass of a sector's coordinates (r,): that of the parts they move."""
-    basis = sector(lumped.cranks, lumped.discs, kind, label).basis
+    basis = sector(lumped.cranks, lumped.discs, kind, label)
     return mass_vector(lumped)[np.argmax(np.abs(basis), axis=0)]
 
 

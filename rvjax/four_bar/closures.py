@@ -54,7 +54,7 @@ class Links(NamedTuple):
 
 
 class Resting(NamedTuple):
-    """Coupler at rest, NaN where there is none; the status in `info` gives the reason."""
+    """Coupler, or disc in the frame of the carrier, at rest; NaN where there is none, `info` gives the reason."""
 
     angle: jax.Array
     misfit: jax.Array

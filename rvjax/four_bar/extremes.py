@@ -43,6 +43,7 @@ Parts = TypeVar("Parts")
 Arrays = tuple[list[jax.Array]]
 Pair = tuple[jax.Array, jax.Array]
 
+_TOGETHER = 4  # angles in one pass through memory; the program grows with them
 _BESIDE = 2  # angles on either side of the crest of a first harmonic that are looked at
 
 
@@ -74,7 +75,6 @@ def largest_and_smallest(
     angles: int,
     *,
     score: Score | None = None,
-    together: int,
 ) -> tuple[jax.Array, jax.Array]:
     """Largest and smallest value over uniform angles from zero.
 
@@ -83,7 +83,6 @@ def largest_and_smallest(
         parts: pytree; leaves that are not arrays stay constants, so that XLA can fold them.
         angles: how many.
         score: of the value; by default the value itself.
-        together: angles in one pass through memory; the program grows with them.
     """
     if score is None:
         score = Score(lambda parts: lambda crank: value(parts, crank), lambda value: value)
@@ -97,7 +96,7 @@ def largest_and_smallest(
     def found(arrays: list[jax.Array], places: bool) -> tuple[jax.Array, jax.Array]:
         """Largest and smallest score, or the numbers of the angles where they occur."""
         if score.wave is None or angles < 2 * _BESIDE + 2:
-            both = settle(_all(score.of(whole(arrays)), angles, places, together))
+            both = settle(_all(score.of(whole(arrays)), angles, places))
         else:
             parts = whole(arrays)
             both = settle(_near(score.of(parts), score.wave(parts), angles, places))
@@ -134,7 +133,7 @@ def largest_and_smallest(
     return search([leaf for leaf, varies in zip(leaves, is_array) if varies])
 
 
-def _all(along: Callable[[Crank], jax.Array], angles: int, places: bool, together: int) -> jax.Array:
+def _all(along: Callable[[Crank], jax.Array], angles: int, places: bool) -> jax.Array:
     """Largest and smallest score of all angles as one complex number, or where they occur."""
     index = np.arange(angles)
     turn = (np.cos(2 * np.pi * index / angles), np.sin(2 * np.pi * index / angles), index)
@@ -151,7 +150,7 @@ def _all(along: Callable[[Crank], jax.Array], angles: int, places: bool, togethe
         return (jnp.where(up, now, most), jnp.where(down, now, least), *where), None
 
     start = (first, first, *([jnp.zeros_like(first)] * 2 if places else []))
-    best, _ = scan(step, start, [jnp.asarray(x[1:], first.dtype) for x in turn], unroll=together)
+    best, _ = scan(step, start, [jnp.asarray(x[1:], first.dtype) for x in turn], unroll=_TOGETHER)
     return jax.lax.complex(*best[-2:])
 
 
@@ -246,7 +245,7 @@ def _under_load(unit: Unit, angles: int) -> tuple[jax.Array, jax.Array]:
         return lambda first: monotone_angle(functools.reduce(times, vectors(parts, first)))
 
     score = Score(of, back=lambda score: angle_of(score) / len(fits))
-    return largest_and_smallest(error, (unit, fits), angles, score=score, together=4)
+    return largest_and_smallest(error, (unit, fits), angles, score=score)
 
 
 def _without_load(unit: Unit, angles: int) -> tuple[jax.Array, jax.Array]:
@@ -271,7 +270,7 @@ def _without_load(unit: Unit, angles: int) -> tuple[jax.Array, jax.Array]:
         return lambda first: monotone_angle(together.at((first.cosine, first.sine)))
 
     score = Score(of, back=lambda score: angle_of(score) / count, wave=lambda parts: first_wave(discs(parts)))
-    return largest_and_smallest(error, turning(unit), angles, score=score, together=4)
+    return largest_and_smallest(error, turning(unit), angles, score=score)
 
 
 def _mean_angle(vectors: list[Vector]) -> jax.Array:
@@ -307,7 +306,7 @@ def most_misfit(unit: Unit, angles: int) -> jax.Array:
     discs = range(len(unit.parts.disc))
     if len(unit.axes) == 2 and unit.load is None:
         return jnp.max(jnp.stack([jnp.abs(end) for k in discs for end in _of_two(unit, k, angles)]))
-    return largest_and_smallest(most, (unit, [fit(unit, k) for k in discs]), angles, together=4)[0]
+    return largest_and_smallest(most, (unit, [fit(unit, k) for k in discs]), angles)[0]
 
 
 _Apart = tuple[jax.Array, tuple[jax.Array, jax.Array], jax.Array]
@@ -336,4 +335,4 @@ def _of_two(unit: Unit, k: int, angles: int) -> tuple[jax.Array, jax.Array]:
 
     parts = (unit.radius, apart(unit, k), bore_excess(unit, k))
     score = Score(lambda parts: lambda first: value(parts, first), lambda value: value, wave)
-    return largest_and_smallest(value, parts, angles, score=score, together=4)
+    return largest_and_smallest(value, parts, angles, score=score)

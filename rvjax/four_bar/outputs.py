@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import jax
 import jax.numpy as jnp
@@ -15,41 +14,6 @@ from rvjax.four_bar.reducer import figures, harmonics, revolution
 from rvjax.outputs import KNOWN_ERROR, Cases, Curve, Description, Observation, Output, Solved, Spectrum, Way, condition
 from rvjax.records import Array, PyTree, Scalar
 from rvjax.units import arcmin, um
-
-
-class Ways(Protocol):
-    """Conditions that select how a turn of the cranks is computed."""
-
-    @property
-    def angles(self) -> int: ...
-    @property
-    def cranks(self) -> str: ...
-    @property
-    def gear_stiffness_ratio(self) -> float | None: ...
-    @property
-    def closure(self) -> str | None: ...
-
-
-def _spectrum(
-    design: RVReducer, errors: RVErrors, conditions: Ways, torques: Array | None, orders: tuple[int, ...], alike: bool
-) -> Spectrum:
-    """Crank revolutions are equal, so only multiples of the pin count are not zero."""
-    pins = design.cycloid.pin_count
-
-    def turn(torque: Scalar) -> Array:
-        ways: dict[str, PyTree] = dict(
-            cranks=conditions.cranks, gear_stiffness_ratio=conditions.gear_stiffness_ratio, closure=conditions.closure
-        )
-        return harmonics(design, errors, output_torque=torque, angles=conditions.angles, **ways)
-
-    waves = turn(0.0)[None] if torques is None else jax.vmap(turn)(torques)
-    # The cranks turn against the output: X e^(i h crank) is conj(X) e^(i h pins output). A failed turn stays NaN.
-    coefficients = [jnp.conj(waves[:, k // pins]) if k % pins == 0 else 0 * waves[:, 0] for k in orders]
-    return jnp.real(waves[:, 0]), jnp.stack(coefficients, axis=1)
-
-
-CURVE = Observation("curve", _spectrum, samples="angles", period=lambda design: int(design.cycloid.pin_count))
-
 
 CLOSURES = tuple(dict.fromkeys(closure for allowed in ALLOWED.values() for closure in allowed))
 CRANKS = tuple(dict.fromkeys(cranks for cranks, _ in ALLOWED))
@@ -66,27 +30,48 @@ class FourBarConditions:
     closure: str | None = condition(None, "of the crank linkages; the exact one by default", choices=CLOSURES)
 
 
-def _turn(conditions: FourBarConditions, *, loaded: bool = True) -> dict[str, PyTree]:
-    torque = conditions.output_torque if loaded else 0.0
-    ways = dict(
-        cranks=conditions.cranks, gear_stiffness_ratio=conditions.gear_stiffness_ratio, closure=conditions.closure
-    )
-    return dict(ways, angles=conditions.angles, output_torque=torque)
+def _turn(conditions: FourBarConditions, torque: Scalar) -> dict[str, PyTree]:
+    """Arguments of a turn of the cranks."""
+    names = ("angles", "cranks", "gear_stiffness_ratio", "closure")
+    return dict(output_torque=torque, **{name: getattr(conditions, name) for name in names})
+
+
+def _spectrum(
+    design: RVReducer,
+    errors: RVErrors,
+    conditions: FourBarConditions,
+    torques: Array | None,
+    orders: tuple[int, ...],
+    alike: bool,
+) -> Spectrum:
+    """Crank revolutions are equal, so only multiples of the pin count are not zero."""
+    pins = design.cycloid.pin_count
+
+    def turn(torque: Scalar) -> Array:
+        return harmonics(design, errors, **_turn(conditions, torque))
+
+    waves = turn(0.0)[None] if torques is None else jax.vmap(turn)(torques)
+    # The cranks turn against the output: X e^(i h crank) is conj(X) e^(i h pins output). A failed turn stays NaN.
+    coefficients = [jnp.conj(waves[:, k // pins]) if k % pins == 0 else 0 * waves[:, 0] for k in orders]
+    return jnp.real(waves[:, 0]), jnp.stack(coefficients, axis=1)
+
+
+CURVE = Observation("curve", _spectrum, samples="angles", period=lambda design: int(design.cycloid.pin_count))
 
 
 def _transmission_error(design: RVReducer, errors: RVErrors, conditions: FourBarConditions) -> Solved:
-    statistics = figures(design, errors, **_turn(conditions), only="error")
+    statistics = figures(design, errors, **_turn(conditions, conditions.output_torque), only="error")
     return statistics.peak_to_peak, statistics.info.status
 
 
 def _misfit(design: RVReducer, errors: RVErrors, conditions: FourBarConditions) -> Solved:
-    statistics = figures(design, errors, **_turn(conditions, loaded=False), only="misfit")
+    statistics = figures(design, errors, **_turn(conditions, 0.0), only="misfit")
     return statistics.largest_misfit, statistics.info.status
 
 
 def _curve(design: RVReducer, errors: RVErrors, conditions: FourBarConditions) -> tuple[Array, Array]:
     loaded = design.cranks.bearing_stiffness is not None  # a study of the misfit alone needs none
-    turn = revolution(design, errors, **_turn(conditions, loaded=loaded))
+    turn = revolution(design, errors, **_turn(conditions, conditions.output_torque if loaded else 0.0))
     return turn.crank_angle, turn.error
 
 

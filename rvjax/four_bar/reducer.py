@@ -5,7 +5,7 @@ Every disc sits on all its cranks; the error is the mean over the discs.
 
 import functools
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,7 @@ from rvjax.catalogue import checked
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import RVErrors
 from rvjax.four_bar import closures, disc_fit
-from rvjax.four_bar.closures import Crank, crank_direction
+from rvjax.four_bar.closures import Crank, Resting, crank_direction
 from rvjax.four_bar.extremes import PARTS, Figures, extremes
 from rvjax.four_bar.linkage import LinkDeviations, check_methods, close
 from rvjax.four_bar.unit import Unit, is_loaded, take_apart
@@ -33,14 +33,6 @@ class TransmissionError(Record):
     per_disc: Array = field("rad", "the same for each disc alone", shape=("discs",))
     misfit: Array = field("m", "what the bearings must stretch: signed for two cranks, else >= 0", shape=("discs",))
     info: SolveInfo = field("-", "of the worst disc", kind="record")
-
-
-class Placed(NamedTuple):
-    """One disc in the carrier frame."""
-
-    angle: Array
-    misfit: Array
-    info: SolveInfo
 
 
 @checked
@@ -117,20 +109,20 @@ def error_at(
     return TransmissionError(error, each, misfit, info)
 
 
-def _fitted_disc(unit: Unit, k: int, crank: Crank, *, closure: str) -> Placed:
+def _fitted_disc(unit: Unit, k: int, crank: Crank, *, closure: str) -> Resting:
     """Disc k on phase-locked cranks."""
     prepared = disc_fit.fit(unit, k)
     misfit = disc_fit.misfit(unit, prepared, crank)
     if closure == "first_order":
         angle = disc_fit.first_order_angle(unit, k, crank)
-        return Placed(angle, misfit, at_once(angle))
+        return Resting(angle, misfit, at_once(angle))
     cosine, sine = disc_fit.vector(unit, prepared, crank)
     size = len(unit.axes) * unit.radius**2
     angle, info = closures.direction_angle(cosine, sine, size, closure=closure)
-    return Placed(angle, misfit, info)
+    return Resting(angle, misfit, info)
 
 
-def _linked_disc(unit: Unit, k: int, crank: Crank, ratio: Array | None, **methods: str) -> Placed:
+def _linked_disc(unit: Unit, k: int, crank: Crank, ratio: Array | None, **methods: str) -> Resting:
     """Disc k on two cranks as a four-bar linkage."""
     spacing = 2 * unit.radius
     parts = unit.parts
@@ -154,7 +146,7 @@ def _linked_disc(unit: Unit, k: int, crank: Crank, ratio: Array | None, **method
     sine, cosine = sin_cos(parts.psi[0])
     turned = crank.turned(cosine, sine)
     closed = close(unit.eccentricity, spacing, deviations, turned, ratio, **methods)
-    return Placed(closed.coupler_angle - arctan2(bore_y, spacing + bore_x), closed.misfit, closed.info)
+    return Resting(closed.coupler_angle - arctan2(bore_y, spacing + bore_x), closed.misfit, closed.info)
 
 
 @record

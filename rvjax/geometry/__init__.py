@@ -1,9 +1,6 @@
 """Geometry of a reducer without errors: flanks and their outlines, space, size, nominal pressure."""
 
-from rvjax.flank import (
-    curvature as curvature,
-    least_convex_radius as least_convex_radius,
-)
+from rvjax.flank import curvature as curvature, least_convex_radius as least_convex_radius
 from rvjax.geometry.inner_gear import (
     ToothProfile as ToothProfile,
     largest_roller_radius as largest_roller_radius,

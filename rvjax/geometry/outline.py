@@ -26,7 +26,7 @@ import numpy as np
 from rvjax.base.words import choose
 from rvjax.bearings import RollingBearing
 from rvjax.catalogue import undercut
-from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
+from rvjax.cycloidal import CycloidalErrors, CycloidalReducer, Reducer, ReducerErrors
 from rvjax.designs import CamRollerReducer, CycloidStage, RVReducer, expect
 from rvjax.errors import CamRollerErrors, RVErrors
 from rvjax.flank import profile
@@ -93,7 +93,7 @@ def outline(
         raise ValueError(f"chord = {chord:g} m: must be positive")
     if points is not None and points < 3:
         raise ValueError(f"points = {points}: a tooth needs at least 3")
-    discs = kind.discs(design)
+    discs = design.counts.get("discs", 1)
     if not 0 <= disc < discs:
         raise ValueError(f"disc = {disc}: must lie between 0 and {discs - 1}")
     given = design.error_record() if errors is None else errors
@@ -118,7 +118,7 @@ Flank = tuple[Callable[..., Line], PyTree, int]
 """The flank as a function of some numbers and the parameters of its points; these numbers; its teeth."""
 
 
-def _disc_flank(design: RVReducer | CycloidalReducer, errors: RVErrors | CycloidalErrors, disc: int) -> Flank:
+def _disc_flank(design: Reducer, errors: ReducerErrors, disc: int) -> Flank:
     cycloid = design.cycloid
     ground = cycloid.replace(
         shortening=None, eccentricity=cycloid.eccentricity + errors.eccentricity,
@@ -235,7 +235,7 @@ def _around(name: str, radius: Scalar, count: int, size: Scalar, first: float = 
     ]
 
 
-def _ring(cycloid: CycloidStage, errors: RVErrors | CycloidalErrors) -> Circles:
+def _ring(cycloid: CycloidStage, errors: ReducerErrors) -> Circles:
     circle, pin = cycloid.pin_circle_radius + errors.pin_circle_radius, cycloid.pin_radius + errors.pin_radius
     pins = _around("pin", circle, cycloid.pin_count, pin + errors.pin_radii)
     return [*pins, Circle("pin circle", 0.0, 0.0, circle)], ["outside of the ring", "seats of the pins"]
@@ -287,18 +287,17 @@ class _Kind(NamedTuple):
     """Functions of a kind of reducer."""
 
     toothed: str  # the part with the flank
-    discs: Callable[..., int]  # of the design
     flank: Callable[..., Flank]  # of design, errors, number of the disc
     undercut: Callable[..., list[str]]  # of design and numbers of the flank: errors
     circles: Callable[..., Circles]  # of design, errors, part, number of the disc
 
 
 _CYCLOID = _Kind(
-    "disc", lambda design: design.cycloid.disc_count, _disc_flank,
+    "disc", _disc_flank,
     lambda design, numbers: undercut(design.replace(cycloid=numbers)), _of_rv,
 )  # fmt: skip
 _KINDS = {
     RVReducer: _CYCLOID,
     CycloidalReducer: _CYCLOID._replace(circles=_of_drive),
-    CamRollerReducer: _Kind("ring", lambda design: 1, _of_gear, _gear_undercut, _of_rollers),
+    CamRollerReducer: _Kind("ring", _of_gear, _gear_undercut, _of_rollers),
 }

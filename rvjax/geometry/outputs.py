@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax.catalogue import checked
-from rvjax.cycloidal import CycloidalReducer
-from rvjax.designs import InvoluteStage, RVReducer, expect
+from rvjax.cycloidal import CycloidalReducer, Reducer
+from rvjax.designs import InvoluteStage, RVReducer, check_teeth, expect
 from rvjax.errors import RVErrors
 from rvjax.geometry.ring import Figures as Figures, harmless, material, of_ring, of_steel, root, squared_pressure
 from rvjax.outputs import Description, Output, Reading, Solved, condition
@@ -95,7 +95,7 @@ def _harmless_drive(read: object) -> object:
 
 
 @checked
-def figures(design: RVReducer | CycloidalReducer, output_torque: Scalar = 0.0) -> Figures:
+def figures(design: Reducer, output_torque: Scalar = 0.0) -> Figures:
     """Figures of a design without errors.
 
     Curvature is that of the flank as ground: an equidistant modification moves it along its normal, a shift
@@ -121,10 +121,7 @@ def figures(design: RVReducer | CycloidalReducer, output_torque: Scalar = 0.0) -
 
 def _of_rv(design: RVReducer, output_torque: Scalar) -> Figures:
     cycloid = design.cycloid
-    if cycloid.pin_count != cycloid.disc_teeth + 1:
-        raise ValueError(
-            f"CycloidStage.pin_count = {cycloid.pin_count}: must be disc_teeth + 1 = {cycloid.disc_teeth + 1}"
-        )
+    check_teeth(cycloid)
     contact = design.contact and design.contact.replace(pin_stiffness=None, pin_support=None)
     read = design.involute, cycloid, design.cranks.replace(bearing_stiffness=None), contact, _masses(design)
     return _rv_figures((*read, output_torque))
@@ -220,11 +217,7 @@ def _taking(name: str) -> Callable[..., Solved]:
 
 def _needing(part: str) -> Callable[[Any, Any], None]:
     def refuse(design: RVReducer, conditions: object) -> None:
-        if design.cycloid.pin_count != design.cycloid.disc_teeth + 1:
-            raise ValueError(
-                f"design.cycloid.pin_count = {design.cycloid.pin_count}: must be disc_teeth + 1 = "
-                f"{design.cycloid.disc_teeth + 1}"
-            )
+        check_teeth(design.cycloid, "design.cycloid")
         if part and getattr(design, part) is None:
             raise ValueError(f"design.{part} is missing: the required response reads it")
 

@@ -12,7 +12,13 @@ from rvjax.life.machine import (
     shared as shared,
     tapered as tapered,
 )
-from rvjax.life.rated import RatedTorque, rated_torque
+from rvjax.life.rated import (
+    Evaluated as Evaluated,
+    RatedTorque,
+    Root as Root,
+    implicit_root as implicit_root,
+    rated_torque,
+)
 from rvjax.life.rating import (
     Rating,
     crank_order as crank_order,

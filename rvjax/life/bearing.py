@@ -34,7 +34,7 @@ from rvjax.life.damage import (
 )
 from rvjax.records import Array, Record, Scalar, concrete, field, promote, quantity, record
 from rvjax.roots import bracketed
-from rvjax.status import SolveInfo, Status, succeeded, worst_of
+from rvjax.status import SolveInfo, Status, worst_of
 from rvjax.units import mm
 
 LAMINAE = 41
@@ -242,14 +242,6 @@ def check_method(method: str, tilt: Scalar) -> None:
         raise ValueError(f'tilt = {quantity(tilt, "rad")}: must be 0; method = "{method}" has no tilt, "slices" has')
 
 
-class Looseness(NamedTuple):
-    """Inputs of `slices` only."""
-
-    clearance: jax.Array  # m
-    tilt: jax.Array  # rad
-    crowned: bool
-
-
 @quick(0, 1)
 def _bearing_life(method: str, crowned: bool, bearing: RollingBearing, *given: Scalar) -> BearingLife:
     bearing, *numbers = promote(bearing, *given)
@@ -262,17 +254,9 @@ def _bearing_life(method: str, crowned: bool, bearing: RollingBearing, *given: S
     spare = (harmless(bearing), *jax.tree.map(jnp.zeros_like, numbers))
     (bearing, force, angle, weight, clearance, tilt), gate = status.admit((bearing, *numbers), spare, *refused)
     weight = weight / jnp.where(total > 0, total, 1)
-    loose = Looseness(clearance, tilt, crowned)
-    damage, info = damaged(method, bearing, ratings(bearing), force, angle, weight, loose)
-    return _closed(gate, damage, info)
-
-
-def _closed(gate: status.Gate, damage: Damage, info: SolveInfo) -> BearingLife:
-    failed = ~succeeded(info.status)
-    ended = jnp.where(damage.rate > 0, info.status, jnp.int32(int(Status.UNLOADED)))
+    damage, info = damaged(method, bearing, ratings(bearing), force, angle, weight, clearance, tilt, crowned)
     values = (1e6 * inverse(damage.rate), damage.load)
-    (life, load), info = gate.close(values, info=info.replace(status=jnp.where(failed, info.status, ended)))
-    life, load = (jnp.where(failed, jnp.nan, x) for x in (life, load))
+    (life, load), info = gate.close_all(values, info, idle=~(damage.rate > 0))
     return BearingLife(life, load, info)
 
 
@@ -292,7 +276,9 @@ def damaged(
     force: jax.Array,
     angle: jax.Array,
     weight: jax.Array,
-    loose: Looseness,
+    clearance: jax.Array,
+    tilt: jax.Array,
+    crowned: bool = True,
 ) -> tuple[Damage, SolveInfo]:
     """Damage of one bearing that exists, by a method.
 
@@ -303,14 +289,15 @@ def damaged(
         force: (n, 2) N.
         angle: (n,) rad.
         weight: (n,), of sum 1, or 0.
-        loose: what only "slices" reads.
+        clearance: radial, m; "slices" only.
+        tilt: rad; "slices" only.
+        crowned: rollers with the logarithmic profile; "slices" only.
     """
     if method == "basic":
         damage = basic(magnitude(force), weight, rated, bearing.life_exponent)
         return damage, status.at_once(damage.rate)
     assert isinstance(bearing, RollerBearing)
     if method == "slices":
-        rollers = laminae(bearing, loose.clearance, loose.tilt, loose.crowned)
-        return slices(bearing, force, angle, weight, rated, rollers)
+        return slices(bearing, force, angle, weight, rated, laminae(bearing, clearance, tilt, crowned))
     damage = raceway(force, angle, weight, rated)
     return damage, status.at_once(damage.rate)

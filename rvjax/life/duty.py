@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 
-from rvjax.cycloidal import CycloidalReducer
+from rvjax.cycloidal import CycloidalReducer, Reducer
 from rvjax.designs import RVReducer
 from rvjax.loaded import Layout
 from rvjax.records import Design, PyTree, Record, concrete, field, quantity, record
@@ -88,15 +88,10 @@ def check_phases(duty: Duty) -> int:
     return lengths.pop()[0] if lengths else 1
 
 
-class Revolutions(NamedTuple):
-    """Revolutions of every crank bearing against its outer ring, in one cycle."""
+def revolutions(pins: int, speed: jax.Array, time: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Revolutions of every crank bearing against its outer ring in one cycle. Eq. 21.
 
-    share: jax.Array  # of each phase, (phases,), sum 1; 0 where nothing turns
-    per_time: jax.Array  # U / tc, () 1/s
-
-
-def revolutions(pins: int, speed: jax.Array, time: jax.Array) -> Revolutions:
-    """Revolutions of a cycle. Eq. 21.
+    The share of each phase, (phases,), of sum 1, 0 where nothing turns; and all of them over the time, U / tc, () 1/s.
 
     Args:
         pins: of the ring, zp: so many crank turns against disc and carrier in one of the output.
@@ -105,7 +100,7 @@ def revolutions(pins: int, speed: jax.Array, time: jax.Array) -> Revolutions:
     """
     turned = pins / (2 * jnp.pi) * jnp.abs(speed) * time
     total = jnp.sum(turned)
-    return Revolutions(turned / jnp.where(total > 0, total, 1), total / jnp.sum(time))
+    return turned / jnp.where(total > 0, total, 1), total / jnp.sum(time)
 
 
 _GOLDEN = (np.sqrt(5) - 1) / 2
@@ -154,7 +149,7 @@ class TurnPlan:
         """True if the equilibrium at the sample before is a better start than the linear step."""
         return self.samples >= _NEAR
 
-    def input_angles(self, design: RVReducer | CycloidalReducer, dtype: DTypeLike) -> jax.Array:
+    def input_angles(self, design: Reducer, dtype: DTypeLike) -> jax.Array:
         """Input angles over the turn of the output, (n,) rad: every crank angle once, each in a separate crank turn.
 
         Equally spaced angles alias with the errors, whose loads have the orders of pins and teeth. Eq. 11.

@@ -16,10 +16,9 @@ from rvjax import status
 from rvjax._jax.elementary import power
 from rvjax.base.fields import fit
 from rvjax.bearings import Bearings, RollingBearing
-from rvjax.cycloidal import CycloidalReducer
-from rvjax.designs import RVReducer
+from rvjax.cycloidal import Reducer
 from rvjax.errors import Errors
-from rvjax.life.bearing import Looseness, check_method, damaged
+from rvjax.life.bearing import check_method, damaged
 from rvjax.life.damage import Damage, basic, check_bearing, harmless, magnitude, ratings, unfit
 from rvjax.life.duty import TurnPlan, kind_of
 from rvjax.loaded import BearingForces, Read, check_input, unchecked
@@ -90,14 +89,14 @@ class Plan(TurnPlan):
 
 
 def check_plan(
-    design: RVReducer | CycloidalReducer,
+    design: Reducer,
     errors: Errors,
     samples: int,
     turns: float,
     method: str,
     reliability: Scalar,
     tilt: Scalar,
-    supports: tuple[str, str, str],
+    supports: tuple[str, ...],
 ) -> Plan:
     """The plan of a call.
 
@@ -287,10 +286,10 @@ def damages(
 
     def by_bearing(bearing: RollingBearing, force: jax.Array, clearance: Scalar) -> tuple[Damage, SolveInfo]:
         """Damage of bearings (rows, columns) with forces (n, rows, columns, 2)."""
-        rated, loose = ratings(bearing), Looseness(jnp.asarray(clearance), tilt, True)
+        rated, radial = ratings(bearing), jnp.asarray(clearance)
 
         def one(own: jax.Array) -> tuple[Damage, SolveInfo]:
-            return damaged(plan.method, bearing, rated, own, angle, weight, loose)
+            return damaged(plan.method, bearing, rated, own, angle, weight, radial, tilt)
 
         return jax.vmap(jax.vmap(one, 1), 1)(force)
 

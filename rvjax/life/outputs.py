@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.programs import QUICK
-from rvjax.catalogue import RV_40E, part_class
+from rvjax.catalogue import RV_40E
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.designs import RVReducer
 from rvjax.errors import RVErrors, read_by
@@ -34,13 +34,14 @@ from rvjax.loaded import (
     BearingForces,
     Revolution,
     admit,
+    check_carrying,
     instants,
     summary,
     turn,
     turns_of,
     ways,
 )
-from rvjax.outputs import Cases, Description, Joint, Output, Reading, Solved, Usual, Way, condition
+from rvjax.outputs import Cases, Description, Joint, Output, Reading, Solved, Usual, Way, condition, number_of
 from rvjax.records import PyTree
 from rvjax.units import rpm
 
@@ -129,8 +130,7 @@ def turned_and_rated(design: RVReducer, errors: RVErrors, given: PyTree) -> tupl
     """Along the span under the output torque, and under the duty: one loop over all equilibria, half of the program."""
     design, duty = errors.stiffened(design), _duty(errors, given)
     samples = given.life_samples or given.samples
-    contact, carrier, sun = ways(given).values()
-    supports = contact, carrier, sun
+    supports = (*ways(given).values(),)
     plan = check_plan(design, errors, samples, 1.0, given.life_method, given.reliability, 0.0, supports)
     phases, n = len(given.duty), given.samples
     read = admit(plan.layout, design, errors, jnp.append(duty.output_torque, given.output_torque), 0.0)
@@ -162,20 +162,8 @@ def sought(design: RVReducer, errors: RVErrors, given: DriveLifeConditions) -> R
     )
 
 
-def _life(rated_life: Rating, design: RVReducer, given: object) -> Solved:
-    return rated_life.life, rated_life.info.status
-
-
 def _arm(rated_life: Rating, design: RVReducer, given: object) -> Solved:
     return jnp.min(rated_life.arm), rated_life.info.status
-
-
-def _safety(rated_life: Rating, design: RVReducer, given: object) -> Solved:
-    return rated_life.static_safety, rated_life.info.status
-
-
-def _torque(rated: RatedTorque, design: RVReducer, given: object) -> Solved:
-    return rated.torque, rated.info.status
 
 
 def _refusing(
@@ -184,11 +172,7 @@ def _refusing(
     """Check the parts of a design, the reliability and the bearings of the method, then run the check `own`."""
 
     def refuse(design: RVReducer, given: DriveLifeConditions) -> None:
-        for part in ("stiffness", "contact"):
-            if getattr(design, part) is None:
-                cls = part_class(type(design), part)
-                keys = ", ".join(f.name for f in dataclasses.fields(cls) if f.default is dataclasses.MISSING)
-                raise ValueError(f"design.{part} is missing: {name} needs it, with {keys}")
+        check_carrying(design, name)
         if design.bearings is None:
             raise ValueError(
                 f"design.bearings is missing: {name} needs [design.bearings.arm], with rollers, roller_diameter, "
@@ -242,9 +226,12 @@ def _with_life(given: DriveLifeConditions) -> None:
         raise ValueError("conditions.rated_speed = 0 rad/s: must not be 0; at rest no bearing has a life")
 
 
-def _of_duty(name: str, unit: str, meaning: str, take: Callable[..., Solved], read_in: str | None = None) -> Output:
+def _of_duty(
+    name: str, unit: str, meaning: str, take: Callable[..., Solved] | None = None, read_in: str | None = None
+) -> Output:
+    """An output of the rating; without `take` its number of this name."""
     own = _with_duty if name == "static_safety" else _moving
-    return Output(unit, meaning, Reading((rated,), take), (), read_in, refuse=_refusing(name, own))
+    return Output(unit, meaning, Reading((rated,), take or number_of(name)), (), read_in, refuse=_refusing(name, own))
 
 
 def _static(design: RVReducer) -> tuple[float, float] | None:
@@ -261,28 +248,29 @@ UNKNOWN = (
     "lubricant and dirt, oscillation below a crank turn, wear; gears, flanks and main bearings have no life here; "
     "ratings hold as far as the bearings of the design, which makers of reducers do not publish"
 )
+
+
+def _outputs(arm: str, one: str, every: str) -> dict[str, Output]:
+    """Outputs of a kind of reducer by the words for one of its arm bearings, for any bearing and for all."""
+    return {
+        "life": _of_duty("life", "s", f"that {every} of a unit reach at the reliability, under the duty", read_in="h"),
+        "arm_bearing_life": _of_duty("arm_bearing_life", "s", f"least of {arm}, under the duty", _arm, "h"),
+        "static_safety": _of_duty("static_safety", "-", f"least C0 / P0 of {one}, phase and angle, under the duty"),
+        "rated_torque": Output(
+            "N m",
+            f"at the rated speed, for the rated life of {every}",
+            Reading((sought,), number_of("torque")),
+            ("rated_life", "rated_speed"),
+            refuse=_refusing("rated_torque", _with_life),
+        ),
+    }
+
+
 DESCRIPTION = Description(
     name="life",
     design=RVReducer,
     conditions=LifeConditions,
-    outputs={
-        "life": _of_duty(
-            "life", "s", "that all crank bearings of a unit reach at the reliability, under the duty", _life, "h"
-        ),
-        "arm_bearing_life": _of_duty(
-            "arm_bearing_life", "s", "least of a crank bearing in a disc, under the duty", _arm, "h"
-        ),
-        "static_safety": _of_duty(
-            "static_safety", "-", "least C0 / P0 of a crank bearing, phase and angle, under the duty", _safety
-        ),
-        "rated_torque": Output(
-            "N m",
-            "at the rated speed, for the rated life of all crank bearings",
-            Reading((sought,), _torque),
-            ("rated_life", "rated_speed"),
-            refuse=_refusing("rated_torque", _with_life),
-        ),
-    },
+    outputs=_outputs("a crank bearing in a disc", "a crank bearing", "all crank bearings"),
     cases=cases,
     unknown=UNKNOWN,
     compiler_options=QUICK,
@@ -296,26 +284,12 @@ DESCRIPTION = Description(
     work={rated: lambda given: ("life", (given.life_samples or given.samples) * len(given.duty))},
 )
 
-
-def _of_eccentrics() -> dict[str, Output]:
-    """The same outputs, of eccentrics in place of cranks."""
-    return {
-        name: dataclasses.replace(output, meaning=meaning)
-        for name, output in DESCRIPTION.outputs.items()
-        for meaning in (
-            output.meaning.replace("a crank bearing in a disc", "an eccentric bearing")
-            .replace("a crank bearing", "an eccentric bearing")
-            .replace("crank bearings", "eccentric bearings"),
-        )
-    }
-
-
 OTHERS = (
     dataclasses.replace(
         DESCRIPTION,
         design=CycloidalReducer,
         conditions=DriveLifeConditions,
-        outputs=_of_eccentrics(),
+        outputs=_outputs("an eccentric bearing", "an eccentric bearing", "all eccentric bearings"),
         cases=None,
         unknown="bearing life (plane model): tilt and edge load (1 mrad costs a quarter of the life), lubricant and "
         "dirt, wear, speed of cages; bearings of the shaft and of the output have no life here",

@@ -8,7 +8,7 @@ the arm bearings (10/3, balls 3): where life falls with this exponent the value 
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -18,9 +18,8 @@ from rvjax._jax.kernels import while_loop
 from rvjax._jax.programs import quick
 from rvjax.bearings import Bearings
 from rvjax.catalogue import checked
-from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
-from rvjax.designs import RVReducer, expect
-from rvjax.errors import RVErrors
+from rvjax.cycloidal import Reducer, ReducerErrors
+from rvjax.designs import expect
 from rvjax.life.damage import ratings
 from rvjax.life.duty import KINDS, kind_of
 from rvjax.life.machine import Plan, check_plan, damages, entered
@@ -35,6 +34,7 @@ _EDGE = 1e-4  # of the torque: from here on a root lies where a contact law ends
 Evaluated = tuple[jax.Array, jax.Array, jax.Array, jax.Array]  # value, status, steps of the equilibria, memory
 Evaluate = Callable[[jax.Array, jax.Array], Evaluated]
 Root = tuple[jax.Array, jax.Array, SolveInfo]
+Numbers = TypeVar("Numbers")  # that a root depends on
 
 
 class Search(NamedTuple):
@@ -128,8 +128,8 @@ class RatedTorque(Record):
 
 @checked
 def rated_torque(
-    design: RVReducer | CycloidalReducer,
-    errors: RVErrors | CycloidalErrors,
+    design: Reducer,
+    errors: ReducerErrors,
     *,
     life: Scalar,
     output_speed: Scalar,
@@ -188,13 +188,7 @@ class Given(NamedTuple):
 
 @quick(0)
 def _rated_torque(
-    plan: Plan,
-    design: RVReducer | CycloidalReducer,
-    errors: RVErrors | CycloidalErrors,
-    life: Scalar,
-    speed: Scalar,
-    reliability: Scalar,
-    tilt: Scalar,
+    plan: Plan, design: Reducer, errors: ReducerErrors, life: Scalar, speed: Scalar, reliability: Scalar, tilt: Scalar
 ) -> RatedTorque:
     read = admit(plan.layout, design, errors, 0.0, 0.0)
     call = entered(design, read, speed, life, reliability, tilt, lambda speed, life: ~(life > 0) | (speed == 0))
@@ -222,26 +216,44 @@ def _missing(plan: Plan, given: Given, x: jax.Array, start: jax.Array) -> Evalua
     return value, status, jnp.sum(forces.info.steps), forces.displacements
 
 
-@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _solve(plan: Plan, given: Given) -> Root:
     """ln torque, displacements there, and how it was found."""
-    dynamic = ratings(given.bearings.arm).dynamic
-    first = kind_of(given.design).torque(given.design, given.eccentricity, dynamic) * plan.layout.discs / 5
-    cold = jnp.full((plan.samples, 1, plan.layout.unknowns), jnp.nan, first.dtype)
-    return largest_root(lambda x, start: _missing(plan, given, x, start), jnp.log(first), cold)
+
+    def search(given: Given) -> Root:
+        dynamic = ratings(given.bearings.arm).dynamic
+        first = kind_of(given.design).torque(given.design, given.eccentricity, dynamic) * plan.layout.discs / 5
+        cold = jnp.full((plan.samples, 1, plan.layout.unknowns), jnp.nan, first.dtype)
+        return largest_root(lambda x, start: _missing(plan, given, x, start), jnp.log(first), cold)
+
+    return implicit_root(search, lambda x, given, start: _missing(plan, given, x, start)[0], given)
 
 
-@_solve.defjvp
-def _solve_jvp(plan: Plan, primals: tuple[Given], tangents: tuple[Given]) -> tuple[Root, Root]:
-    """dx = -(dv / d given) dgiven / (dv / dx)."""
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def implicit_root(search: Callable[[Numbers], Root], value: Callable[..., jax.Array], given: Numbers) -> Root:
+    """A root with the derivatives of its equation, dx = -(dv / d given) dgiven / (dv / dx).
+
+    Args:
+        search: (given) -> root, memory of the last evaluation, and how the root was found.
+        value: (x, given, memory) -> what is zero at the root.
+        given: what the root depends on.
+    """
+    return search(given)
+
+
+@implicit_root.defjvp
+def _implicit_root_jvp(
+    search: Callable[[Numbers], Root],
+    value: Callable[..., jax.Array],
+    primals: tuple[Numbers],
+    tangents: tuple[Numbers],
+) -> tuple[Root, Root]:
     (given,), (change,) = primals, tangents
-    x, start, info = _solve(plan, given)
-
-    def value(x: jax.Array, given: Given) -> jax.Array:
-        return _missing(plan, given, x, start)[0]
-
-    slope = jax.jacfwd(value)(x, given)  # `jax.linearize` would forget the rules that second derivatives need
-    regular = succeeded(info.status) & (slope != 0)
-    dx = -jax.jvp(functools.partial(value, x), (given,), (change,))[1] / jnp.where(regular, slope, 1)
-    still = jax.custom_derivatives.zero_from_primal((start, info))
-    return (x, start, info), (jnp.where(regular, dx, 0), *still)
+    x, memory, info = implicit_root(search, value, given)
+    regular = succeeded(info.status) & jnp.isfinite(x)
+    place = jnp.where(regular, x, 0)
+    slope = jax.jacfwd(value)(place, given, memory)  # `jax.linearize` would forget the rules of second derivatives
+    regular &= slope != 0
+    moved = jax.jvp(lambda given: value(place, given, memory), (given,), (change,))[1]
+    dx = -moved / jnp.where(regular, slope, 1)
+    still = jax.custom_derivatives.zero_from_primal((memory, info))
+    return (x, memory, info), (jnp.where(regular, dx, 0), *still)

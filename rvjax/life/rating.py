@@ -11,7 +11,7 @@ from rvjax._jax.elementary import power
 from rvjax._jax.programs import quick
 from rvjax.bearings import Bearings, RollerBearing
 from rvjax.catalogue import checked
-from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
+from rvjax.cycloidal import Reducer, ReducerErrors
 from rvjax.designs import RVReducer, expect
 from rvjax.errors import Errors, RVErrors
 from rvjax.life.bearing import inverse
@@ -19,7 +19,7 @@ from rvjax.life.duty import KINDS, Duty, check_phases, kind_of, revolutions
 from rvjax.life.machine import Entered, Plan, check_plan, damages, entered
 from rvjax.loaded import BearingForces, Read, admit, bearing_forces, check_input
 from rvjax.records import Design, Record, Scalar, field, record
-from rvjax.status import SolveInfo, Status, succeeded, worst, worst_of
+from rvjax.status import SolveInfo, succeeded, worst_of
 
 
 @record
@@ -37,8 +37,8 @@ class Rating(Record):
 
 @checked
 def rating(
-    design: RVReducer | CycloidalReducer,
-    errors: RVErrors | CycloidalErrors,
+    design: Reducer,
+    errors: ReducerErrors,
     duty: Duty,
     *,
     samples: int = 48,
@@ -87,13 +87,7 @@ def rating(
 
 @quick(0, 1)
 def _rating(
-    plan: Plan,
-    phases: int,
-    design: RVReducer | CycloidalReducer,
-    errors: RVErrors | CycloidalErrors,
-    duty: Duty,
-    reliability: Scalar,
-    tilt: Scalar,
+    plan: Plan, phases: int, design: Reducer, errors: ReducerErrors, duty: Duty, reliability: Scalar, tilt: Scalar
 ) -> Rating:
     read = admit(plan.layout, design, errors, jnp.broadcast_to(duty.output_torque, (phases,)), 0.0)
     given = under(duty, phases, design, read, reliability, tilt)
@@ -128,9 +122,9 @@ def by_forces(plan: Plan, given: Entered, errors: Errors, forces: BearingForces)
         errors: clearances are read.
         forces: (samples, phases, ...).
     """
-    turned = revolutions(plan.layout.pins, given.speed, given.time)
-    damage = damages(plan, given.bearings, errors, forces, turned.share, given.tilt)
-    per_time = turned.per_time / (1e6 * given.factor)  # Eq. 22
+    share, per_time = revolutions(plan.layout.pins, given.speed, given.time)
+    damage = damages(plan, given.bearings, errors, forces, share, given.tilt)
+    per_time = per_time / (1e6 * given.factor)  # Eq. 22
 
     values = dict(
         life=inverse(damage.whole * per_time),
@@ -140,16 +134,9 @@ def by_forces(plan: Plan, given: Entered, errors: Errors, forces: BearingForces)
     )
     if damage.support is not None:
         values |= dict(support=inverse(damage.support.rate * per_time), support_load=damage.support.load)
-    state = worst(jnp.append(jnp.ravel(forces.info.status), damage.info.status))
-    ended = jnp.where(damage.whole * per_time > 0, Status.CONVERGED, Status.UNLOADED)
-    info = SolveInfo(
-        jnp.where(succeeded(state), ended, state).astype(jnp.int32),
-        jnp.sum(forces.info.steps),
-        jnp.max(forces.info.residual),
-    )
-    values, info = given.gate.close(values, info=info)
-    fine = succeeded(info.status)
-    values = jax.tree.map(lambda x: jnp.where(fine, x, jnp.nan), values)
+    statuses = jnp.append(jnp.ravel(forces.info.status), damage.info.status)
+    idle = ~(damage.whole * per_time > 0)
+    values, info = given.gate.close_all(values, forces.info.replace(status=statuses), idle)
     return Rating(**({"support": None, "support_load": None} | values), info=info)
 
 

@@ -27,7 +27,7 @@ from rvjax.loaded.observation import (
     HEAD_PARTS as HEAD_PARTS,
     DriveConditions as DriveConditions,
     LoadedConditions as LoadedConditions,
-    Methods as Methods,
+    check_carrying as check_carrying,
     turn as turn,
     turns_of as turns_of,
     ways as ways,

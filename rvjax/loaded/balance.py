@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 
-from rvjax._jax.kernels import BatchedKernel, like
+from rvjax._jax.kernels import BatchedKernel, block_by_block, like
 from rvjax._jax.sizes import EQUILIBRIA, GROUP
 from rvjax.loaded.hessian import hessian, solve
 from rvjax.loaded.newton import Minimum, minimise
@@ -106,30 +106,14 @@ def in_blocks(kernel: Kernel, arguments: tuple[object, ...]) -> PyTree:
         kernel: takes the arguments, batch axis last; all but the first (the system) fill the block.
         arguments: system and arrays.
     """
-    cases = max(len(leaf) for leaf in jax.tree.leaves(arguments))
-    width = min(cases, EQUILIBRIA.here)
+    width = min(max(len(leaf) for leaf in jax.tree.leaves(arguments)), EQUILIBRIA.here)
 
-    def block(first: jax.Array) -> PyTree:
-        def part(leaf: jax.Array) -> jax.Array:
-            part_of_leaf = leaf if len(leaf) == 1 else jax.lax.dynamic_slice_in_dim(leaf, first, width)
-            return jnp.moveaxis(part_of_leaf, 0, -1)
-
-        system, *arrays = jax.tree.map(part, arguments)
+    def block(arguments: tuple[object, ...]) -> PyTree:
+        system, *arrays = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), arguments)
         result = kernel(system, *(jnp.broadcast_to(x, (*x.shape[:-1], width)) for x in arrays))
         return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), result)
 
-    if cases == width:
-        return block(jnp.zeros((), jnp.int32))
-
-    def write(number: jax.Array, results: object) -> object:
-        first = jnp.minimum(number * width, cases - width)  # the last block is whole
-        return jax.tree.map(
-            lambda all_, new: jax.lax.dynamic_update_slice_in_dim(all_, new, first, 0), results, block(first)
-        )
-
-    shapes = jax.eval_shape(block, jax.ShapeDtypeStruct((), jnp.int32))
-    nothing = jax.tree.map(lambda x: jnp.zeros((cases, *x.shape[1:]), x.dtype), shapes)
-    return jax.lax.fori_loop(jnp.int32(0), jnp.int32(-(-cases // width)), write, nothing)
+    return block_by_block(block, arguments, width)
 
 
 Inputs = tuple[System, jax.Array]

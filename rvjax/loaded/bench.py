@@ -15,9 +15,8 @@ import numpy as np
 from rvjax._jax.kernels import scan
 from rvjax._jax.programs import quick
 from rvjax.catalogue import checked
-from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
+from rvjax.cycloidal import Reducer, ReducerErrors
 from rvjax.designs import RVReducer, expect
-from rvjax.errors import RVErrors
 from rvjax.loaded.case import at_output, output_rotation, solve
 from rvjax.loaded.equilibrium import Loaded, admit, check_input, prepare
 from rvjax.loaded.geometry import Geometry, Turn, geometry, turn
@@ -45,8 +44,8 @@ class Torsion(Record):
 
 @checked
 def torsion(
-    design: RVReducer | CycloidalReducer,
-    errors: RVErrors | CycloidalErrors,
+    design: Reducer,
+    errors: ReducerErrors,
     *,
     input_angle: Scalar,
     rated_torque: Scalar,

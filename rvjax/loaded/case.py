@@ -22,7 +22,7 @@ residual) in one array, counts and marks in the other.
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -30,8 +30,6 @@ import jax.numpy as jnp
 
 from rvjax import status
 from rvjax._jax.elementary import LARGEST_ANGLE
-from rvjax.base.fields import fit
-from rvjax.designs import CycloidStage
 from rvjax.errors import Errors, read_by
 from rvjax.geometry import least_convex_radius
 from rvjax.loaded.balance import balance, forces, with_implicit_derivative
@@ -53,31 +51,6 @@ class Read(NamedTuple):
     torque: Any
     angle: Any
     gate: Gate
-
-
-def check_teeth(cycloid: CycloidStage) -> None:
-    """Raise an error for another tooth difference than one.
-
-    Args:
-        cycloid: its counts.
-    """
-    if cycloid.pin_count != cycloid.disc_teeth + 1:
-        raise ValueError(
-            f"CycloidStage.pin_count = {cycloid.pin_count}: must be disc_teeth + 1 = {cycloid.disc_teeth + 1}"
-        )
-
-
-def check_shapes(parts: Sequence[Record], counts: Mapping[str, int]) -> None:
-    """Raise an error for an array field that does not fit.
-
-    Args:
-        parts: records.
-        counts: sizes of the named axes.
-    """
-    for part in parts:
-        for f in dataclasses.fields(part):
-            if f.metadata["kind"] == "real":
-                fit(f"{type(part).__name__}.{f.name}", getattr(part, f.name), f.metadata["shape"], counts)
 
 
 def admitted(
@@ -187,9 +160,9 @@ class Case(NamedTuple):
     lever: jax.Array  # (d, p) m, of a pin about the centre of its disc
     pressure: jax.Array  # (d, p) Pa / sqrt(N)
     length: jax.Array  # () m: the first common unknown over the rotation of the output
+    size: jax.Array  # (d, p) S of Eq. 4
     hole_pressure: jax.Array | None = None  # (d, n) Pa / sqrt(N), of output pins
     eccentric: jax.Array | None = None  # (d, 2) direction of the eccentric of each disc
-    size: jax.Array | None = None  # (d, p) S of Eq. 4
     most: jax.Array | None = None  # (j,) N, forces of joints beyond which the theory of their contact fails
 
     def loaded(self, torque: jax.Array) -> "Case":
@@ -275,18 +248,8 @@ def output_rotation(layout: Layout, case: Case, q: jax.Array) -> jax.Array:
     return q[layout.carried] / case.length
 
 
-def pressures(case: Case, pins: jax.Array) -> jax.Array:
-    """Largest Hertzian pressure of each pin under its force, (d, p) Pa. Eq. 24.
-
-    Args:
-        case: of the same angle.
-        pins: forces (d, p) N.
-    """
-    return under(case.pressure, pins)
-
-
 def under(pressure: jax.Array, force: jax.Array) -> jax.Array:
-    """Pressure under a force, 0 without; Pa.
+    """Largest Hertzian pressure under a force, 0 without; Pa. Eq. 24.
 
     Args:
         pressure: over the square root of a force, Pa / sqrt(N).

@@ -20,11 +20,11 @@ from rvjax.designs import Contact
 from rvjax.geometry import material as of_contact, squared_pressure
 from rvjax.loaded import laws
 from rvjax.loaded.balance import Forces
-from rvjax.loaded.case import Case, NamedForces, Read, admitted, check_shapes, unchecked, under
-from rvjax.loaded.cycloidal_gaps import Drive, Unknowns, drive_at, drive_gaps, drive_rows, gaps_of_turn
+from rvjax.loaded.case import Case, NamedForces, Read, admitted, unchecked, under
+from rvjax.loaded.cycloidal_gaps import Drive, drive_at, drive_gaps, drive_rows, gaps_of_turn
 from rvjax.loaded.geometry import flank_rounding
 from rvjax.loaded.system import Bearings, Group, Joints, Layout, Pins, System
-from rvjax.records import Scalar
+from rvjax.records import Scalar, check_shapes
 
 
 class Law(NamedTuple):
@@ -35,15 +35,8 @@ class Law(NamedTuple):
     radius: jax.Array  # R*, m
 
 
-class DriveLaws(NamedTuple):
-    """Contact laws of both groups."""
-
-    pins: Law  # (d, p)
-    holes: Law  # (d, n) or shorter
-
-
-def drive_laws(law: str, design: CycloidalReducer, at: Drive) -> DriveLaws:
-    """Numbers of the contact laws at an angle.
+def drive_laws(law: str, design: CycloidalReducer, at: Drive) -> tuple[Law, Law]:
+    """Numbers of the contact laws of pins, (d, p), and holes, (d, n) or shorter, at an angle.
 
     Args:
         law: "hertz", "linear" or "palmgren".
@@ -54,11 +47,11 @@ def drive_laws(law: str, design: CycloidalReducer, at: Drive) -> DriveLaws:
     assert contact is not None
     pin, sleeve = jnp.asarray(cycloid.pin_radius), jnp.asarray(output.pin_radius)
     room = jnp.asarray(cycloid.eccentricity + output.hole_clearance / 2)  # hole radius less pin radius
-    groups = (
-        (flank_rounding(cycloid, at.ring), pin, contact.pin_stiffness, contact.pin_support),
-        (sleeve * room / (sleeve + room), sleeve, output.pin_stiffness, output.pin_support),
+    hole = sleeve * room / (sleeve + room)
+    return (
+        _law(law, contact, flank_rounding(cycloid, at.ring), pin, contact.pin_stiffness, contact.pin_support),
+        _law(law, contact, hole, sleeve, output.pin_stiffness, output.pin_support),
     )
-    return DriveLaws(*(_law(law, contact, *numbers) for numbers in groups))
 
 
 def _law(
@@ -132,10 +125,6 @@ def passing(design: CycloidalReducer) -> tuple[int, ...]:
     return tuple(n * order for order in each for n in several)
 
 
-def _unknowns(layout: Layout) -> Unknowns:
-    return Unknowns(layout.discs, layout.common[0] == 3, len(layout.common) == 2)
-
-
 def admit(layout: Layout, design: CycloidalReducer, errors: CycloidalErrors, torque: Scalar, angle: Scalar) -> Read:
     """Check the numbers that are read.
 
@@ -147,7 +136,7 @@ def admit(layout: Layout, design: CycloidalReducer, errors: CycloidalErrors, tor
         angle: of the shaft, () rad.
     """
     read = _only_read(layout, design)
-    if not _unknowns(layout).held:
+    if not layout.input_moves:
         errors = errors.replace(support_clearance=0.0)
     return admitted(read, errors, torque, angle, partial(_positive, layout), partial(_pushes_away, layout))
 
@@ -165,7 +154,7 @@ def _only_read(layout: Layout, design: CycloidalReducer) -> CycloidalReducer:
         cycloid=unchecked(design.cycloid, disc_phase=0.0, force_angle=0.0, shortening=None),
         output=output.replace(**unread),
         contact=contact.replace(**unread),
-        stiffness=springs if _unknowns(layout).floats else springs.replace(output_support=0.0),
+        stiffness=springs if layout.carrier_floats else springs.replace(output_support=0.0),
         bearings=None,
         friction=None,
     )
@@ -191,23 +180,12 @@ def _pushes_away(layout: Layout, design: CycloidalReducer) -> jax.Array:
     return jnp.any(jnp.asarray(design.stiffness.output_support) < 0)
 
 
-class _Holes(NamedTuple):
-    """Contacts of output pins, (d n,)."""
-
-    law: Law
-    pressure: jax.Array  # Pa / sqrt(N); Eq. 11
-    most: jax.Array | None  # N: nearly conforming surfaces beyond; None but for hertz
-
-
-def _holes(layout: Layout, design: CycloidalReducer, law: Law) -> _Holes:
-    contact, count = design.contact, layout.contacts(layout.joints)
+def _most(design: CycloidalReducer, radius: jax.Array) -> jax.Array:
+    """Force of an output pin beyond which the surfaces nearly conform, N."""
+    contact = design.contact
     assert contact is not None
-    every = (layout.discs, design.output.count)
-    law = Law(*(None if x is None else jnp.broadcast_to(x, every).ravel() for x in law))  # type: ignore[arg-type]
     plane = laws.plane(contact) / contact.face_width  # a^2 = 4 F R* plane
-    most = jnp.asarray((NEAR * design.output.pin_radius) ** 2 / (4 * law.radius * plane))
-    pressure = _pressure(design, law.radius)
-    return _Holes(law, jnp.broadcast_to(pressure, (count,)), most if layout.law == "hertz" else None)
+    return jnp.asarray((NEAR * design.output.pin_radius) ** 2 / (4 * radius * plane))
 
 
 def _pressure(design: CycloidalReducer, radius: jax.Array) -> jax.Array:
@@ -225,37 +203,38 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
         read: finite and possible numbers.
         input_angle: of the shaft, () rad.
     """
-    design, errors, unknowns = read.design, read.errors, _unknowns(layout)
+    design, errors = read.design, read.errors
     springs, radius = design.stiffness, jnp.asarray(design.output.circle_radius)
     at = drive_at(design, read.eccentricity, input_angle)
     dtype = at.ring.size.dtype
     one = jnp.where(read.eccentricity > 0, 1.0, 2.0).astype(dtype)  # see `rv.prepare`
-    gaps, rows = drive_gaps(design, errors, at, read.eccentricity), drive_rows(design, unknowns, at)
-    laws = drive_laws(layout.law, design, at)
-    holes = _holes(layout, design, laws.holes)
+    gaps, rows = drive_gaps(design, errors, at, read.eccentricity), drive_rows(design, layout, at)
+    pins, law = drive_laws(layout.law, design, at)
+    every = (layout.discs, design.output.count)
+    holes = Law(*(None if x is None else jnp.broadcast_to(x, every).ravel() for x in law))  # type: ignore[arg-type]
     eccentrics = jnp.broadcast_to(springs.eccentric_bearing, (layout.discs,)).astype(dtype)
     held = jnp.zeros((layout.unknowns,), dtype)
-    if unknowns.floats:
+    if layout.carrier_floats:
         held = held.at[layout.carried + 1 : layout.carried + 3].set(springs.output_support)
     stiffness, centres = [eccentrics], [gaps.centres]
     play = [jnp.full((layout.discs,), nonnegative(errors.bearing_clearance), dtype)]
-    if unknowns.held:
+    if layout.input_moves:
         stiffness.append(jnp.asarray(springs.shaft_support, dtype).reshape(1))
         centres.append(jnp.zeros((1, 2), dtype))
         play.append(jnp.asarray(nonnegative(errors.support_clearance), dtype).reshape(1))
-    level = laws.pins.level
+    level = pins.level
     system = System(
         pins=Pins(
             rows=rows.pins / one,
             gap=gaps.pins / one,
-            compliance=jnp.ravel(laws.pins.compliance),
+            compliance=jnp.ravel(pins.compliance),
             level=None if level is None else jnp.broadcast_to(level, gaps.pins.shape) / one,
         ),
         joints=Joints(
             rows=rows.holes.reshape(-1, layout.unknowns) / one,
             gap=gaps.holes.ravel() / one,
-            compliance=holes.law.compliance.astype(dtype),
-            level=holes.law.level,
+            compliance=holes.compliance.astype(dtype),
+            level=holes.level,
             lever=-at.swing.sine.ravel(),  # sin(b - a) > 0: a positive torque on the carrier presses
         ),
         bearings=Bearings(
@@ -268,17 +247,17 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
         support=held,
         load=design.carrier_factor / radius,
     )
-    pressure = jnp.broadcast_to(_pressure(design, laws.pins.radius), gaps.pins.shape)
+    pressure = jnp.broadcast_to(_pressure(design, pins.radius), gaps.pins.shape)
     b = at.ring.eccentric
     return Case(
         system=system,
         lever=at.ring.lever / one,
         pressure=pressure,
         length=radius / design.carrier_factor,
-        hole_pressure=holes.pressure.reshape(layout.discs, -1),
+        hole_pressure=_pressure(design, holes.radius).reshape(layout.discs, -1),
         eccentric=jnp.stack([b.cosine, b.sine], axis=-1),
         size=at.ring.size / one,
-        most=holes.most,
+        most=_most(design, holes.radius) if layout.law == "hertz" else None,
     )
 
 

@@ -18,31 +18,9 @@ from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.flank import Ground
 from rvjax.loaded.geometry import Geometry, Turn, geometry, pin_depths
 from rvjax.loaded.largest_gap import STEPS, Lines, largest_gap
+from rvjax.loaded.system import Layout
 from rvjax.records import Scalar, promote
 from rvjax.status import SolveInfo, Status, admit, converged
-
-
-class Unknowns(NamedTuple):
-    """Order of the displacements: x, y, Rw beta of each disc; Rw alpha; x, y of a floating carrier, of a held shaft."""
-
-    discs: int
-    floats: bool  # the carrier
-    held: bool  # the shaft in its supports; else its centre is fixed
-
-    @property
-    def carrier(self) -> int:
-        """Row of the carrier rotation."""
-        return 3 * self.discs
-
-    @property
-    def shaft(self) -> int:
-        """First row of the shaft."""
-        return self.carrier + 1 + 2 * self.floats
-
-    @property
-    def total(self) -> int:
-        """Their number."""
-        return self.shaft + 2 * self.held
 
 
 class Drive(NamedTuple):
@@ -123,28 +101,28 @@ def _centres(design: CycloidalReducer, errors: CycloidalErrors, at: Drive, eccen
     return -jnp.stack([longer * b.cosine - ahead * b.sine + x, longer * b.sine + ahead * b.cosine + y], axis=-1)
 
 
-def drive_rows(design: CycloidalReducer, unknowns: Unknowns, at: Drive) -> DriveRows:
+def drive_rows(design: CycloidalReducer, layout: Layout, at: Drive) -> DriveRows:
     """Rows of all contacts and bearings of one angle.
 
     Args:
         design: radius of the circle of output pins, the length of every rotation.
-        unknowns: their order.
+        layout: counts and what floats.
         at: directions of the angle.
     """
     discs, output_pins = at.swing.sine.shape
     normal_x, normal_y = at.ring.normal
     towards = jnp.stack([at.ring.eccentric.cosine, at.ring.eccentric.sine], axis=-1)  # u(b_k)
-    eye, frame = jnp.eye(2, dtype=towards.dtype), unknowns.carrier + 1
-    holes = jnp.zeros((discs, output_pins, unknowns.total), towards.dtype)
-    bearings = jnp.zeros((discs + unknowns.held, 2, unknowns.total), towards.dtype)
+    eye, frame = jnp.eye(2, dtype=towards.dtype), layout.carried + 1
+    holes = jnp.zeros((discs, output_pins, layout.unknowns), towards.dtype)
+    bearings = jnp.zeros((discs + layout.input_moves, 2, layout.unknowns), towards.dtype)
     for k in range(discs):
         holes = holes.at[k, :, 3 * k : 3 * k + 2].set(towards[k]).at[k, :, 3 * k + 2].set(at.swing.sine[k])
         bearings = bearings.at[k, :, 3 * k : 3 * k + 2].set(eye)
-    holes = holes.at[:, :, unknowns.carrier].set(-at.swing.sine)
-    if unknowns.floats:
+    holes = holes.at[:, :, layout.carried].set(-at.swing.sine)
+    if layout.carrier_floats:
         holes = holes.at[:, :, frame : frame + 2].set(-towards[:, None])
-    if unknowns.held:
-        shaft = slice(unknowns.shaft, unknowns.shaft + 2)
+    if layout.input_moves:
+        shaft = slice(layout.unknowns - 2, layout.unknowns)
         bearings = bearings.at[:discs, :, shaft].set(-eye).at[discs, :, shaft].set(eye)
     return DriveRows(jnp.stack([-normal_x, -normal_y, at.ring.lever / design.output.circle_radius]), holes, bearings)
 

@@ -6,7 +6,8 @@ bearings. What differs between kinds is one table.
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple, Protocol
+from types import ModuleType
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,58 +17,31 @@ from rvjax._jax.kernels import scan
 from rvjax._jax.programs import ONCE, quick
 from rvjax.base.words import choose
 from rvjax.catalogue import checked
-from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
-from rvjax.designs import RVReducer, expect
-from rvjax.errors import Errors, RVErrors
+from rvjax.cycloidal import CycloidalReducer, Reducer, ReducerErrors
+from rvjax.designs import RVReducer, check_teeth, expect
+from rvjax.errors import Errors
 from rvjax.loaded import cycloidal, laws, rv
 from rvjax.loaded.balance import Forces, compliance, forces
-from rvjax.loaded.case import (
-    SUPPORTS,
-    Case,
-    NamedForces,
-    Read,
-    at_output,
-    check_shapes,
-    check_teeth,
-    output_rotation,
-    pressures,
-    solve,
-)
+from rvjax.loaded.case import SUPPORTS, Case, NamedForces, Read, at_output, output_rotation, solve, under
 from rvjax.loaded.newton import Minimum
 from rvjax.loaded.system import Layout
-from rvjax.records import Array, Design, PyTree, Record, Scalar, field, record
+from rvjax.records import Array, Design, PyTree, Record, Scalar, check_shapes, field, record
 from rvjax.roots import solved
 from rvjax.status import SolveInfo, Status, succeeded
 
+KINDS: dict[type, ModuleType] = {RVReducer: rv, CycloidalReducer: cycloidal}
+"""Module of each kind of reducer, with six functions of these arguments:
 
-class LoadedKind(Protocol):
-    """Functions of the module of a kind of reducer; the arguments are those of `rv`."""
-
-    def layout(self, design: PyTree, errors: PyTree, contact: str, carrier: str, sun: str) -> Layout:
-        """Bodies and contacts, with an error for shapes that do not fit."""
-
-    def admit(self, layout: Layout, design: PyTree, errors: PyTree, torque: Scalar, angle: Scalar) -> Read:
-        """The numbers that are read, harmless ones in the place of impossible ones."""
-
-    def prepare(self, layout: Layout, read: Read, input_angle: jax.Array) -> Case:
-        """Geometry, springs and gaps of one input angle; `load` is that of 1 N m."""
-
-    def named_forces(self, layout: Layout, read: Read, case: Case, forces: Forces) -> NamedForces:
-        """The forces by their names in the results."""
-
-    def fit(
-        self, samples: int, turns: float, design: PyTree, errors: PyTree
-    ) -> tuple[tuple[jax.Array, jax.Array], SolveInfo]:
-        """Least clearance without load, of all angles () and of each (n,)."""
-
-    def passing(self, design: PyTree) -> tuple[int, ...]:
-        """Orders of the output turn that a reducer without errors makes, as far as few angles may not resolve them."""
+    layout(design, errors, contact, carrier, sun)     bodies and contacts, with an error for shapes that do not fit
+    admit(layout, design, errors, torque, angle)      numbers that are read, harmless where they are impossible
+    prepare(layout, read, input_angle)                geometry, springs and gaps of an input angle under 1 N m: a `Case`
+    named_forces(layout, read, case, forces)          forces by their names in the results
+    fit(samples, turns, design, errors)               least clearance without load, of all angles () and of each (n,)
+    passing(design)                                   orders of the output turn that few angles may not resolve
+"""
 
 
-KINDS: dict[type, LoadedKind] = {RVReducer: rv, CycloidalReducer: cycloidal}
-
-
-def kind_of(design: Design) -> LoadedKind:
+def kind_of(design: Design) -> ModuleType:
     """The module of a design's kind."""
     return next(kind for cls, kind in KINDS.items() if isinstance(design, cls))
 
@@ -86,7 +60,7 @@ def check_kind(design: Design, errors: Errors) -> None:
     check_shapes([errors], design.counts)
 
 
-def check_input(design: RVReducer | CycloidalReducer, errors: PyTree, contact: str, carrier: str, sun: str) -> Layout:
+def check_input(design: Reducer, errors: PyTree, contact: str, carrier: str, sun: str) -> Layout:
     """The layout of this call.
 
     Args:
@@ -178,8 +152,8 @@ class Loaded(Record):
 
 @checked
 def equilibrium(
-    design: RVReducer | CycloidalReducer,
-    errors: RVErrors | CycloidalErrors,
+    design: Reducer,
+    errors: ReducerErrors,
     *,
     input_angle: Scalar,
     output_torque: Scalar,
@@ -254,7 +228,7 @@ def outcome(layout: Layout, read: Read, case: Case, minimum: Minimum, info: Solv
     values = Loaded(
         error=output_rotation(layout, case, q),
         pins=at.pins,
-        pressure=pressures(case, at.pins),
+        pressure=under(case.pressure, at.pins),
         **named_forces(layout, read, case, at)._asdict(),
         disc_torque=-jnp.sum(case.lever * at.pins, axis=1),
         stiffness=jnp.square(case.length) / compliance(layout, case.system, q, unit)[layout.carried],

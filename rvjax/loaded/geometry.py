@@ -15,12 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.elementary import sin_cos
-from rvjax.cycloidal import CycloidalErrors
+from rvjax.cycloidal import ReducerErrors
 from rvjax.designs import CycloidStage, RVReducer
 from rvjax.errors import RVErrors
 from rvjax.flank import Ground, curvature, modified, profile
 from rvjax.loaded.largest_gap import STEPS, Lines, largest_gap
-from rvjax.records import Scalar, promote
+from rvjax.records import promote
 from rvjax.status import SolveInfo, Status, admit, converged
 
 
@@ -101,17 +101,7 @@ def geometry(cycloid: CycloidStage, eccentricity: jax.Array, th: jax.Array) -> G
     )
 
 
-def full(value: Scalar, shape: tuple[int, ...]) -> jax.Array:
-    """An error in its full shape.
-
-    Args:
-        value: a number, or that shape.
-        shape: of the array field.
-    """
-    return jnp.broadcast_to(value, shape)
-
-
-def pin_depths(cycloid: CycloidStage, errors: RVErrors | CycloidalErrors, at: Geometry) -> jax.Array:
+def pin_depths(cycloid: CycloidStage, errors: ReducerErrors, at: Geometry) -> jax.Array:
     """Depth of every pin in its disc at the ideal position, (d, p) m: Eq. 13, term by term.
 
     Args:
@@ -125,21 +115,21 @@ def pin_depths(cycloid: CycloidStage, errors: RVErrors | CycloidalErrors, at: Ge
     shift = cycloid.shift_modification + errors.shift_modification - errors.pin_circle_radius
     away = (1 - at.shortening * at.lobe.cosine) / at.size  # -n . u(g_j)
     aside = at.shortening * at.lobe.sine / at.size  # -n . J u(g_j)
-    offset = full(errors.pin_offset, (zp, 2))
-    ring_x, ring_y = at.carrier.back.of(*full(errors.ring_centre, (2,)))
-    centre = full(errors.disc_centre, (discs, 2))
-    total = -play + shift * away + full(errors.pin_radii, (zp,))[None]
+    offset = jnp.broadcast_to(errors.pin_offset, (zp, 2))
+    ring_x, ring_y = at.carrier.back.of(*jnp.broadcast_to(errors.ring_centre, (2,)))
+    centre = jnp.broadcast_to(errors.disc_centre, (discs, 2))
+    total = -play + shift * away + jnp.broadcast_to(errors.pin_radii, (zp,))[None]
     total += -away * offset[:, 0][None] - aside * offset[:, 1][None]
     total += at.normal[0] * (ring_x - centre[:, :1]) + at.normal[1] * (ring_y - centre[:, 1:])
     if jnp.ndim(errors.disc_pitch):
-        pitch = jnp.take_along_axis(full(errors.disc_pitch, (discs, zc)), at.tooth, axis=1, mode="clip")
+        pitch = jnp.take_along_axis(jnp.broadcast_to(errors.disc_pitch, (discs, zc)), at.tooth, axis=1, mode="clip")
     else:
         pitch = jnp.asarray(errors.disc_pitch)
     total += pitch * (zp / (zc * cycloid.pin_circle_radius)) * at.lever
     if cycloid.profile_modification is not None:
         total += profile(cycloid.profile_modification, at.lobe.cosine, at.lobe.sine)[0]
     if jnp.ndim(errors.disc_profile):
-        waves = full(errors.disc_profile, (discs, 5, 2))
+        waves = jnp.broadcast_to(errors.disc_profile, (discs, 5, 2))
         cosine, sine = jnp.ones_like(at.size), jnp.zeros_like(at.size)
         for f in range(5):
             total += waves[:, f, :1] * cosine + waves[:, f, 1:] * sine

@@ -6,6 +6,7 @@ elements that is cheaper than from one angle to the next. Every observation is l
 that each equilibrium is solved for its slopes once, however many numbers are observed.
 """
 
+import dataclasses
 import functools
 import itertools
 from collections.abc import Callable, Sequence
@@ -17,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.programs import QUICK, quick
+from rvjax.catalogue import part_class
 from rvjax.designs import RVReducer
 from rvjax.errors import Errors, RVErrors
 from rvjax.loaded.bench import SHARES, Reading, reading
@@ -76,6 +78,23 @@ class Methods(Protocol):
 def ways(given: Methods) -> dict[str, str]:
     """Methods of the equilibrium, as its keyword arguments."""
     return dict(contact=given.pin_contact, carrier=given.carrier, sun=getattr(given, "sun", "fixed"))
+
+
+def check_carrying(design: object, reader: str) -> None:
+    """Raise ValueError for missing parts of a design that carry load.
+
+    Args:
+        design: the reducer.
+        reader: what needs them, for the message.
+
+    Raises:
+        ValueError: names the part and its keys in a study file.
+    """
+    for part in ("stiffness", "contact"):
+        if getattr(design, part) is None:
+            cls = part_class(type(design), part)
+            keys = ", ".join(f.name for f in dataclasses.fields(cls) if f.default is dataclasses.MISSING)
+            raise ValueError(f"design.{part} is missing: {reader} needs it, with {keys}")
 
 
 RATED, HALF, SLIGHT, PROBE = SHARES

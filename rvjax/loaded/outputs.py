@@ -4,21 +4,19 @@ Outputs read a few results, each computed once for all required ones: a turn und
 that a test bench measures at some input angles.
 """
 
-import dataclasses
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.programs import QUICK
-from rvjax.catalogue import part_class
 from rvjax.cycloidal import CycloidalReducer
-from rvjax.designs import RVReducer
+from rvjax.designs import RVReducer, check_teeth
 from rvjax.errors import RVErrors
 from rvjax.loaded.bench import secant, twisted
-from rvjax.loaded.case import check_teeth
 from rvjax.loaded.cases import cases
 from rvjax.loaded.equilibrium import check_input, equilibrium
 from rvjax.loaded.observation import (
@@ -30,6 +28,7 @@ from rvjax.loaded.observation import (
     SLIGHT,
     DriveConditions,
     LoadedConditions,
+    check_carrying,
     second_turn,
     turn,
     turns_of,
@@ -37,8 +36,7 @@ from rvjax.loaded.observation import (
     ways,
 )
 from rvjax.loaded.revolution import Clearance, Revolution, clearance
-from rvjax.outputs import KNOWN_ERROR, Curve, Description, Output, Reading, Solved, Usual
-from rvjax.records import Design
+from rvjax.outputs import KNOWN_ERROR, Curve, Description, Output, Reading, Solved, Usual, number_of
 from rvjax.status import SolveInfo, worst, worst_of
 from rvjax.units import MPa
 
@@ -77,13 +75,6 @@ def _stiffness(twist: tuple[jax.Array, SolveInfo], design: RVReducer, conditions
     return jnp.min(secant(rotation[:, 0, 1], rotation[:, 1, 1], conditions.rated_torque)), info.status
 
 
-def _figure(name: str) -> Callable[..., Solved]:
-    def take(results: Revolution, design: RVReducer, conditions: LoadedConditions) -> Solved:
-        return getattr(results, name), results.info.status
-
-    return take
-
-
 def _shift(first: Revolution, second: Revolution, design: RVReducer, conditions: LoadedConditions) -> Solved:
     return second.mean - first.mean, worst(jnp.stack([first.info.status, second.info.status]))
 
@@ -116,16 +107,9 @@ def _fit(design: RVReducer, errors: RVErrors, conditions: LoadedConditions) -> C
     return clearance(design, errors, turns=turns_of(design, conditions), samples=conditions.samples)
 
 
-def _least(clearances: Clearance, design: Design, conditions: LoadedConditions) -> Solved:
-    return clearances.least, clearances.info.status
-
-
 def _clearance(design: RVReducer, errors: RVErrors, conditions: LoadedConditions) -> Solved:
-    return _least(_fit(design, errors, conditions), design, conditions)
-
-
-def _one_more(design: RVReducer, conditions: LoadedConditions) -> None:
-    check_teeth(design.cycloid)
+    least = _fit(design, errors, conditions)
+    return least.least, least.info.status
 
 
 def _angles(conditions: LoadedConditions) -> np.ndarray:
@@ -141,11 +125,7 @@ def _carrying(outputs: dict[str, Output]) -> dict[str, Output]:
 
     def refusing(check: Refuse | None) -> Refuse:
         def refuse(design: RVReducer, conditions: LoadedConditions) -> None:
-            for part in ("stiffness", "contact"):
-                if getattr(design, part) is None:
-                    cls = part_class(type(design), part)
-                    keys = ", ".join(f.name for f in dataclasses.fields(cls) if f.default is dataclasses.MISSING)
-                    raise ValueError(f"design.{part} is missing: a reducer under load needs it, with {keys}")
+            check_carrying(design, "a reducer under load")
             if check is not None:
                 check(design, conditions)
 
@@ -184,19 +164,15 @@ def _resolved(design: RVReducer, conditions: LoadedConditions) -> None:
 
 
 def _of_turn(unit: str, meaning: str, name: str, refuse: Refuse | None = None, least: float = 0.0) -> Output:
-    return Output(unit, meaning, Reading((turn,), _figure(name)), refuse=refuse, least=least)
+    return Output(unit, meaning, Reading((turn,), number_of(name)), refuse=refuse, least=least)
 
 
 def _along(conditions: LoadedConditions) -> tuple[str, int]:
     return "turn", conditions.samples
 
 
-def _at_the_probe(conditions: LoadedConditions) -> tuple[str, int]:
-    return "probe", 2 * conditions.probe_angles
-
-
-def _at_the_bench(conditions: LoadedConditions) -> tuple[str, int]:
-    return "bench", 2 * conditions.probe_angles
+def _on_bench(kind: str, conditions: LoadedConditions) -> tuple[str, int]:
+    return kind, 2 * conditions.probe_angles
 
 
 NEEDS = ("rated_torque",)
@@ -213,14 +189,14 @@ DESCRIPTION = Description(
         "second_transmission_error": Output(
             "rad",
             "peak to peak over the span under the second torque",
-            Reading((second_turn,), _figure("peak_to_peak")),
+            Reading((second_turn,), number_of("peak_to_peak")),
             ("second_torque",),
             refuse=_apart,
         ),
         "unloaded_transmission_error": Output(
             "rad",
             "peak to peak over the span at the probe torque, 0.1 % of rated",
-            Reading((unloaded_turn,), _figure("peak_to_peak")),
+            Reading((unloaded_turn,), number_of("peak_to_peak")),
             NEEDS,
             refuse=_rated,
         ),
@@ -268,8 +244,8 @@ DESCRIPTION = Description(
     }) | {
         "flank_clearance": Output(
             "m", "least clearance of flanks and pins over the span, discs turned to where it is largest", _clearance,
-            below_zero="interference, at least two pins are pressed at any rotation of the discs", refuse=_one_more,
-            costly=False,
+            below_zero="interference, at least two pins are pressed at any rotation of the discs",
+            refuse=lambda design, _: check_teeth(design.cycloid), costly=False,
         )
     },
     curve=Curve(
@@ -287,7 +263,10 @@ DESCRIPTION = Description(
             lambda design: (-np.inf, PRESSURE), "static safety 2: 4000 MPa dents hardened rollers (ISO 76)"
         )
     },
-    work={turn: _along, second_turn: _along, BACKLASH: _at_the_probe, LOST_MOTION: _at_the_bench},
+    work={
+        turn: _along, second_turn: _along,
+        BACKLASH: partial(_on_bench, "probe"), LOST_MOTION: partial(_on_bench, "bench"),
+    },
 )  # fmt: skip
 
 _ALIKE = (
@@ -315,8 +294,8 @@ OTHERS = (
         | {
             "fit_clearance": Output(
                 "m", "least clearance of pins and holes over the span, discs and carrier turned to where it is largest",
-                Reading((_fit,), _least), below_zero="interference, the drive jams or is preloaded", rejects="jam",
-                costly=False,
+                Reading((_fit,), number_of("least")), below_zero="interference, the drive jams or is preloaded",
+                rejects="jam", costly=False,
             )
         },
         cases=None,

@@ -4,7 +4,7 @@ An instant has a torque and an input angle; forces of the crank bearings are tho
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from rvjax._jax.kernels import scan
 from rvjax._jax.programs import quick
 from rvjax.catalogue import checked
-from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
-from rvjax.designs import RVReducer, expect
-from rvjax.errors import Errors, RVErrors
+from rvjax.cycloidal import Reducer, ReducerErrors
+from rvjax.designs import check_teeth, expect
+from rvjax.errors import Errors
 from rvjax.loaded.balance import forces
-from rvjax.loaded.case import Case, Read, at_output, check_teeth, output_rotation, pressures, solve
+from rvjax.loaded.case import Case, Read, at_output, output_rotation, solve, under
 from rvjax.loaded.equilibrium import KINDS, admit, check_input, check_kind, equilibria, kind_of, named_forces, prepare
 from rvjax.loaded.newton import Minimum
 from rvjax.loaded.system import Layout
@@ -29,18 +29,8 @@ from rvjax.status import SolveInfo, Status, succeeded, worst_of
 Pair = tuple[jax.Array, jax.Array]
 
 
-class Loads(NamedTuple):
-    """Forces on the parts at one instant; fields as in `Revolution`."""
-
-    largest_pin: jax.Array
-    largest_pressure: jax.Array
-    largest_arm_bearing: jax.Array
-    largest_support_bearing: jax.Array
-    crank_sharing: jax.Array | None
-    disc_sharing: jax.Array
-    fewest_pins: jax.Array
-    largest_output_pin: jax.Array | None = None
-    largest_output_pressure: jax.Array | None = None
+Loads = dict[str, Any]
+"""Loads of the parts at one instant by the names of `Revolution`, () each; None where a kind has none."""
 
 
 class Instants(NamedTuple):
@@ -97,9 +87,9 @@ def _measure(
     at = forces(layout, case.system, q)
     of_names = named_forces(layout, read, case, at)
     arm, support = of_names.disc_bearing, of_names.support_bearing
-    loads = Loads(
+    loads: Loads = dict(
         largest_pin=jnp.max(at.pins),
-        largest_pressure=jnp.max(pressures(case, at.pins)),
+        largest_pressure=jnp.max(under(case.pressure, at.pins)),
         largest_arm_bearing=_largest(arm),
         largest_support_bearing=_largest(support),
         crank_sharing=None if of_names.gear is None else _sharing(of_names.gear),
@@ -155,8 +145,8 @@ class Revolution(Record):
 
 @checked
 def revolution(
-    design: RVReducer | CycloidalReducer,
-    errors: RVErrors | CycloidalErrors,
+    design: Reducer,
+    errors: ReducerErrors,
     *,
     output_torque: Scalar,
     turns: float | None = None,
@@ -192,12 +182,7 @@ def revolution(
 
 @quick(0, 1)
 def _revolution(
-    samples: int,
-    layout: Layout,
-    design: RVReducer | CycloidalReducer,
-    errors: RVErrors | CycloidalErrors,
-    output_torque: Scalar,
-    turns: Scalar,
+    samples: int, layout: Layout, design: Reducer, errors: ReducerErrors, output_torque: Scalar, turns: Scalar
 ) -> Revolution:
     read = admit(layout, design, errors, output_torque, turns)
     order = jnp.arange(samples, dtype=read.torque.dtype)
@@ -225,8 +210,8 @@ def summary(equilibria: Instants) -> Revolution:
         peak_to_peak=jnp.max(error) - jnp.min(error),
         mean=jnp.mean(error),
         harmonics=jnp.where(fine, wave, jnp.nan),
-        **jax.tree.map(lambda load: jnp.where(fine, jnp.max(load), jnp.nan), equilibria.loads._asdict())
-        | {"fewest_pins": jnp.where(fine, jnp.min(equilibria.loads.fewest_pins), jnp.nan)},
+        **jax.tree.map(lambda load: jnp.where(fine, jnp.max(load), jnp.nan), equilibria.loads)
+        | {"fewest_pins": jnp.where(fine, jnp.min(equilibria.loads["fewest_pins"]), jnp.nan)},
         info=whole.replace(steps=jnp.sum(equilibria.info.steps)),
     )
 
@@ -242,8 +227,8 @@ class Clearance(Record):
 
 @checked
 def clearance(
-    design: RVReducer | CycloidalReducer,
-    errors: RVErrors | CycloidalErrors,
+    design: Reducer,
+    errors: ReducerErrors,
     *,
     turns: float | None = None,
     samples: int = 48,

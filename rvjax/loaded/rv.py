@@ -18,10 +18,10 @@ from rvjax.errors import RVErrors
 from rvjax.geometry import material as of_contact, squared_pressure
 from rvjax.loaded import laws
 from rvjax.loaded.balance import Forces
-from rvjax.loaded.case import Case, NamedForces, Read, admitted, check_shapes, unchecked
-from rvjax.loaded.geometry import Geometry, Turn, flank_rounding, flanks, full, geometry, no_orders, pin_depths, turn
+from rvjax.loaded.case import Case, NamedForces, Read, admitted, unchecked
+from rvjax.loaded.geometry import Geometry, Turn, flank_rounding, flanks, geometry, no_orders, pin_depths, turn
 from rvjax.loaded.system import Bearings, Group, Joints, Layout, Pins, System
-from rvjax.records import Scalar
+from rvjax.records import Scalar, check_shapes
 
 FLANKS = Group(discs=False, links=True, common=True, each=2)
 ARMS = Group(discs=True, links=True, common=False)
@@ -54,11 +54,6 @@ def layout(design: RVReducer, errors: RVErrors, contact: str, carrier: str, sun:
     )
 
 
-def _floats(layout: Layout) -> tuple[bool, bool]:
-    """True for a carrier that floats, and for such a sun."""
-    return layout.common[0] == 3, len(layout.common) == 2
-
-
 def admit(layout: Layout, design: RVReducer, errors: RVErrors, torque: Scalar, angle: Scalar) -> Read:
     """Check the numbers that are read.
 
@@ -78,10 +73,9 @@ def _only_read(layout: Layout, design: RVReducer) -> RVReducer:
     springs, contact = design.stiffness, design.contact
     assert springs is not None and contact is not None
     unread = {"output_torsion"}
-    carrier, sun = _floats(layout)
-    if not carrier:
+    if not layout.carrier_floats:
         unread |= {"output_support"}
-    if not sun:
+    if not layout.input_moves:
         unread |= {"sun_support", "sun_torsion"}
     if layout.law != "linear" or contact.pin_stiffness is not None:
         unread |= {"disc_pin_mesh"}
@@ -144,10 +138,9 @@ def _pushes_away(layout: Layout, design: RVReducer) -> jax.Array:
     springs = design.stiffness
     assert springs is not None
     held: list[Scalar] = [jnp.zeros_like(springs.output_support)]
-    carrier, sun = _floats(layout)
-    if carrier:
+    if layout.carrier_floats:
         held.append(springs.output_support)
-    if sun:
+    if layout.input_moves:
         held += [springs.sun_support, springs.sun_torsion]
     return jnp.any(jnp.stack([jnp.asarray(spring) for spring in held]) < 0)
 
@@ -198,15 +191,14 @@ def prepare(layout: Layout, read: Read, input_angle: jax.Array) -> Case:
             level = level + 1 / (yielding * jnp.atleast_1d(contact.pin_support)[None])
     arms = jnp.broadcast_to(springs.turning_arm_bearing, (layout.discs, layout.links))
     held: list[Scalar] = [0.0] * (layout.carried + 1)
-    carrier_floats, sun_floats = _floats(layout)
-    if carrier_floats:
+    if layout.carrier_floats:
         held += [springs.output_support] * 2
-    if sun_floats:
+    if layout.input_moves:
         held += [springs.sun_support] * 2 + [springs.sun_torsion / involute.sun_base_radius**2]
     play = [nonnegative(x) for x in (errors.bearing_clearance, errors.support_clearance)]
     # XLA copies cheap operations into every consumer, but computes a division once. Half of the program was copies.
     one, one_of_errors = jnp.where(e > 0, 1.0, 2.0).astype(dtype), jnp.where(read.gate.good, 1.0, 2.0).astype(dtype)
-    seats = -_placed(full(errors.carrier_bore, (cranks.count, 2)), cranks.count)
+    seats = -_placed(jnp.broadcast_to(errors.carrier_bore, (cranks.count, 2)), cranks.count)
     system = System(
         pins=Pins(
             rows=jnp.stack([-at.normal[0], -at.normal[1], at.lever / cranks.circle_radius]) / one,
@@ -278,8 +270,8 @@ def _placed(bore: jax.Array, cranks: int) -> jax.Array:
 def _gear(cranks: int, errors: RVErrors, at: Geometry, sun: Turn, flank: jax.Array) -> jax.Array:
     """Eq. 14: half the backlash on either flank, and the runouts, which turn with their parts."""
     thinner = (errors.base_tangent_upper + errors.base_tangent_lower) / 4
-    sun_x, sun_y = sun.of(*full(errors.sun_runout, (2,)))
-    planet = _placed(full(errors.planet_runout, (cranks, 2)), cranks)
+    sun_x, sun_y = sun.of(*jnp.broadcast_to(errors.sun_runout, (2,)))
+    planet = _placed(jnp.broadcast_to(errors.planet_runout, (cranks, 2)), cranks)
     planet_x, planet_y = at.crank.of(planet[:, 0], planet[:, 1])
     return jnp.asarray(
         thinner + flank[:, :, 0] * (sun_x - planet_x)[:, None] + flank[:, :, 1] * (sun_y - planet_y)[:, None]
@@ -289,9 +281,9 @@ def _gear(cranks: int, errors: RVErrors, at: Geometry, sun: Turn, flank: jax.Arr
 def _arm(design: RVReducer, errors: RVErrors, at: Geometry, eccentricity: Scalar) -> jax.Array:
     """Eq. 15: bore of the disc less the journal that the crank carries there, x, y."""
     discs, cranks = design.cycloid.disc_count, design.cranks.count
-    bore = _placed(full(errors.disc_bore, (discs, cranks, 2)), cranks)
-    longer = full(errors.crank_eccentricity, (discs, cranks))
-    ahead = jnp.asarray(eccentricity * full(errors.crank_phase, (cranks,))[None])
+    bore = _placed(jnp.broadcast_to(errors.disc_bore, (discs, cranks, 2)), cranks)
+    longer = jnp.broadcast_to(errors.crank_eccentricity, (discs, cranks))
+    ahead = jnp.asarray(eccentricity * jnp.broadcast_to(errors.crank_phase, (cranks,))[None])
     bx, by = at.eccentric.cosine[:, None], at.eccentric.sine[:, None]
     return bore - jnp.stack([longer * bx - ahead * by, longer * by + ahead * bx], axis=-1)
 
@@ -313,7 +305,7 @@ def _bearing_rows(layout: Layout, swing: jax.Array) -> jax.Array:
         rotation[0, i, 0, crank + 2] = 1
         seat[i, :, crank : crank + 2] = np.eye(2)
         seat[i, :, layout.carried] = -tangential[i]
-        if _floats(layout)[0]:
+        if layout.carrier_floats:
             seat[i, :, layout.carried + 1 : layout.carried + 3] = -np.eye(2)
         for k in range(discs):
             arm[k, i, :, 3 * k : 3 * k + 2] = np.eye(2)
@@ -330,7 +322,6 @@ def _gear_rows(layout: Layout, flank: jax.Array) -> jax.Array:
         layout: counts and methods.
         flank: (c, 2, 2) [driving, coasting] flank, normal x, y.
     """
-    sun_floats = _floats(layout)[1]
     spin = np.asarray([1.0, -1.0])
     along = np.zeros((2, layout.links, 1, layout.unknowns))  # per x and y of the normal
     turned = np.zeros((layout.links, 2, layout.unknowns))
@@ -338,9 +329,9 @@ def _gear_rows(layout: Layout, flank: jax.Array) -> jax.Array:
         turned[i, :, layout.link(i) + 2] = spin
         for a in range(2):
             along[a, i, 0, layout.link(i) + a] = -1
-            if sun_floats:
+            if layout.input_moves:
                 along[a, i, 0, a - 3] = 1
-    if sun_floats:
+    if layout.input_moves:
         turned[:, :, -1] = spin
     x, y = (jnp.asarray(part, flank.dtype) for part in along)
     return jnp.asarray(turned, flank.dtype) + flank[:, :, :1] * x + flank[:, :, 1:] * y

@@ -44,6 +44,16 @@ class Layout(NamedTuple):
     interior: bool = True  # cases that Newton leaves go to the interior point method; not in tests that need none
 
     @property
+    def carrier_floats(self) -> bool:
+        """The first common body is a carrier with x and y besides its rotation."""
+        return self.common[0] == 3
+
+    @property
+    def input_moves(self) -> bool:
+        """The second common body, if there is one, is the input: a floating sun, or a shaft in its supports."""
+        return len(self.common) == 2
+
+    @property
     def inner(self) -> int:
         """Unknowns of the discs."""
         return 3 * self.discs

@@ -255,7 +255,7 @@ def _newton_step(
         return load + rows.stiffness * ratio * (depth - approach(load))
 
     def small(depth: jax.Array) -> jax.Array:
-        return corrected(depth, lambda load: laws.approach_near(load, rows.compliance, rows.hollow)[0])
+        return corrected(depth, lambda load: laws.approach_near(load, rows.compliance, rows.hollow))
 
     def every(depth: jax.Array) -> jax.Array:
         return corrected(depth, lambda load: laws.approach(law, load, rows.compliance))

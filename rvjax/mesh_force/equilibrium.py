@@ -15,10 +15,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import DTypeLike
 
 from rvjax._jax.elementary import LARGEST_ANGLE
-from rvjax._jax.kernels import BatchedKernel, along_lanes
+from rvjax._jax.kernels import BatchedKernel, along_lanes, block_by_block
 from rvjax._jax.sizes import ROLLER_CASES
 from rvjax.base.words import choose
 from rvjax.catalogue import checked
@@ -122,27 +121,8 @@ def _shapes(teeth: int, case: Case) -> object:
 
 
 def _in_blocks(law: str, teeth: int, case: Case) -> Solution:
-    size = max(len(leaf) for leaf in case)
-    width = min(size, ROLLER_CASES.here)
-    if size == width:
-        return solve_block(law, teeth, case, size)
-
-    @jax.jit  # traced once
-    def block(start: jax.Array) -> Solution:
-        def part(leaf: jax.Array) -> jax.Array:
-            return leaf if len(leaf) == 1 else jax.lax.dynamic_slice_in_dim(leaf, start, width)
-
-        return solve_block(law, teeth, Case(*map(part, case)), width)
-
-    def solved(number: jax.Array, solution: Solution) -> Solution:
-        start = jnp.minimum(number * width, size - width)  # the last block overlaps: no case depends on its neighbours
-        return jax.tree.map(
-            lambda all_, new: jax.lax.dynamic_update_slice_in_dim(all_, new, start, 0), solution, block(start)
-        )
-
-    shapes = jax.eval_shape(block, 0)
-    none = jax.tree.map(lambda leaf: jnp.zeros((size, *leaf.shape[1:]), leaf.dtype), shapes)
-    return jax.lax.fori_loop(0, -(-size // width), solved, none)
+    width = min(max(len(leaf) for leaf in case), ROLLER_CASES.here)
+    return block_by_block(lambda case: solve_block(law, teeth, case, width), case, width)
 
 
 @record
@@ -208,7 +188,7 @@ def solve(
         (undercut_margin(design) <= 0, Status.UNDERCUT),
         (crushing, Status.CONTACT_OVERLOAD),
     )
-    design, gate = admit(design, _harmless(z, torque.dtype), *refusals)
+    design, gate = admit(design, _harmless(z), *refusals)
     others = errors.replace(roller_radius=0.0)
     (others, torque, angle), gate = admit((others, torque, angle), 0, after=gate)
     errors = others.replace(roller_radius=errors.roller_radius)
@@ -253,8 +233,8 @@ def _in_range(
     return sound & fits & large_enough, sound & ~fits & jnp.isfinite(torque)
 
 
-def _harmless(teeth: int, dtype: DTypeLike) -> CamRollerReducer:
-    safe = CamRollerReducer(
+def _harmless(teeth: int) -> CamRollerReducer:
+    return CamRollerReducer(
         gear_teeth=teeth,
         cam_radius=1.0,
         roller_radius=0.1,
@@ -264,4 +244,3 @@ def _harmless(teeth: int, dtype: DTypeLike) -> CamRollerReducer:
         poisson_ratio=0.3,
         cam_share=1.0,
     )
-    return jax.tree.map(lambda value: jnp.asarray(value, dtype), safe)

@@ -55,21 +55,20 @@ def approach(law: str, load: jax.Array, roller: Compliance) -> jax.Array:
     )
 
 
-def approach_near(load: jax.Array, roller: Compliance, hollow: jax.Array | None = None) -> tuple[jax.Array, jax.Array]:
-    """`approach` of "hertz" in multiplications alone, and the largest square, to be held against `NEAR`.
+def approach_near(load: jax.Array, roller: Compliance, hollow: jax.Array) -> jax.Array:
+    """`approach` of "hertz" in multiplications alone, right while load times `square` is up to `NEAR`.
 
     A square root costs a processor as much as thirty multiplications.
 
     Args:
         load: u >= 0.
         roller: its compliance.
-        hollow: `line_contact.hollow` of `gear_radius`, if it is known.
+        hollow: `line_contact.hollow` of `gear_radius`.
     """
-    hollow = line_contact.hollow(roller.gear_radius) if hollow is None else hollow
     cam = line_contact.approach_near(load, roller.cam_radius)
     cage = line_contact.approach_near(roller.cage * load, jnp.ones_like(load))
     gear = line_contact.approach_near(roller.gear * load, roller.gear_radius, hollow)
-    return cam + roller.cage * cage + roller.gear * gear, load * square(roller, hollow)
+    return cam + roller.cage * cage + roller.gear * gear
 
 
 def square(roller: Compliance, hollow: jax.Array) -> jax.Array:
@@ -159,13 +158,13 @@ def secant_stiffness(law: str, load: jax.Array, roller: Compliance) -> jax.Array
     return 2 / roller.weight
 
 
-def bends(stiffness: jax.Array, roller: Compliance, hollow: jax.Array | None = None) -> tuple[jax.Array, jax.Array]:
+def bends(stiffness: jax.Array, roller: Compliance, hollow: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Coefficients b2, b3 of the load u = y (1 + b2 y + b3 y^2 + ..) of "hertz", y = stiffness * approach.
 
     Args:
         stiffness: of small loads.
         roller: its compliance.
-        hollow: `line_contact.hollow` of `gear_radius`, if it is known.
+        hollow: `line_contact.hollow` of `gear_radius`.
     """
     gear = line_contact.approach_series(roller.gear_radius, hollow)
     cam, flat = line_contact.approach_series(roller.cam_radius), line_contact.approach_series(1.0)

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Rectangle
 
-from rvjax.cycloidal import CycloidalReducer
+from rvjax.cycloidal import Reducer
 from rvjax.designs import CamRollerReducer, RVReducer
 from rvjax.geometry import flank_along
 from rvjax.mesh_force import largest_roller_radius, tooth_profile
@@ -95,13 +95,13 @@ def before_and_after(before: PyTree, after: PyTree, section: Callable[[Any, Axes
     return both[0]
 
 
-def _disc_width(design: RVReducer | CycloidalReducer) -> float | None:
+def _disc_width(design: Reducer) -> float | None:
     """Width of a disc, m; None where the design has none."""
     width = None if design.contact is None else design.contact.face_width
     return None if width is None else float(width)
 
 
-def _from_the_side(design: RVReducer | CycloidalReducer, other: RVReducer | CycloidalReducer, axes: Axes) -> None:
+def _from_the_side(design: Reducer, other: Reducer, axes: Axes) -> None:
     """Discs between the pins seen along y, half a millimetre apart; the other design's discs dashed."""
     for one, style, filled in ((other, "--", False), (design, "-", True)):
         cycloid, width = one.cycloid, (_disc_width(one) or 0.0) / mm
@@ -233,7 +233,7 @@ def crank_axes(design: RVReducer) -> list[np.ndarray]:
     return [float(design.cranks.circle_radius) * unit_vector(np.pi + 2 * np.pi * k / count) for k in range(count)]
 
 
-def flank(design: RVReducer | CycloidalReducer) -> np.ndarray:
+def flank(design: Reducer) -> np.ndarray:
     """Flank of a disc about its own centre without modifications, m (n, 2): pins touch it.
 
     Args:

@@ -3,7 +3,6 @@
 That torque is the least root of an equation, each evaluation a whole turn.
 """
 
-import functools
 import warnings
 from typing import NamedTuple
 
@@ -15,14 +14,14 @@ from scipy import special
 from rvjax._jax import checks
 from rvjax._jax.kernels import while_loop
 from rvjax._jax.programs import quick
+from rvjax.base.words import choose
 from rvjax.catalogue import checked
-from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
-from rvjax.designs import Bearings, Friction, RVReducer
-from rvjax.errors import RVErrors
-from rvjax.life import TurnPlan
+from rvjax.cycloidal import Reducer, ReducerErrors
+from rvjax.designs import Bearings, Friction
+from rvjax.life import Evaluated, Root, TurnPlan, implicit_root
 from rvjax.loaded import Read
 from rvjax.records import Array, PyTree, Record, concrete, field, promote, record
-from rvjax.running.inputs import Call, check_call, check_direction, entered
+from rvjax.running.inputs import Call, check_call, entered
 from rvjax.running.losses import around
 from rvjax.status import Gate, SolveInfo, Status, succeeded, worst
 from rvjax.units import with_unit
@@ -138,6 +137,7 @@ def _fit_drag(speed: Array | np.ndarray, torque: Array | np.ndarray) -> DragFit:
     return DragFit(coefficients[0], coefficients[1] / scale, coefficients[2], sds[0], sds[1] / scale, sd)
 
 
+DIRECTIONS = {"forward": 1.0, "backward": -1.0}
 EVALUATIONS = 64
 FARTHEST = 1000.0  # times the friction at rest without load
 _STRETCH = 4.0  # of the torque, where the secant leads away from a root
@@ -154,8 +154,8 @@ class BackDriving(Record):
 
 @checked
 def back_driving(
-    design: RVReducer | CycloidalReducer,
-    errors: RVErrors | CycloidalErrors,
+    design: Reducer,
+    errors: ReducerErrors,
     friction: Friction | None = None,
     *,
     direction: str = "forward",
@@ -187,7 +187,8 @@ def back_driving(
     """
     supports = contact, carrier, sun
     plan, friction = check_call("running.back_driving", design, errors, friction, supports, samples, turns)
-    return _back_driving(plan, check_direction(direction), design, errors, friction)
+    choose("direction", direction, DIRECTIONS)
+    return _back_driving(plan, DIRECTIONS[direction], design, errors, friction)
 
 
 class Given(NamedTuple):
@@ -203,11 +204,7 @@ class Given(NamedTuple):
 
 @quick(0, 1)
 def _back_driving(
-    plan: TurnPlan,
-    sign: float,
-    design: RVReducer | CycloidalReducer,
-    errors: RVErrors | CycloidalErrors,
-    friction: Friction,
+    plan: TurnPlan, sign: float, design: Reducer, errors: ReducerErrors, friction: Friction
 ) -> BackDriving:
     call = entered(plan, design, errors, friction, 0.0)
     read = call.read
@@ -218,12 +215,8 @@ def _back_driving(
     return BackDriving(jnp.where(succeeded(info.status), torque, jnp.nan), info)
 
 
-Evaluated = tuple[jax.Array, jax.Array, jax.Array, jax.Array]  # friction, status, steps, displacements
-Root = tuple[jax.Array, jax.Array, SolveInfo]  # torque, displacements there, and how it was found
-
-
 def _resisting(plan: TurnPlan, sign: float, given: Given, x: jax.Array, start: jax.Array) -> Evaluated:
-    """Friction at rest under the torque x of the output."""
+    """Friction at rest under the torque x of the output, status, steps and displacements."""
     gate = Gate(((given.sound < 0.5, Status.NONFINITE),))
     zero = jnp.zeros_like(x)
     read = Read(given.design, given.errors, given.eccentricity, x, zero, gate)
@@ -308,24 +301,10 @@ def _least_root(plan: TurnPlan, sign: float, given: Given) -> Root:
     return end.x, end.memory, SolveInfo(end.status, end.steps, end.residual)
 
 
-@functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
 def _solve(plan: TurnPlan, sign: float, given: Given) -> Root:
-    return _least_root(plan, sign, given)
+    """Torque, displacements there, and how it was found."""
 
+    def excess(x: jax.Array, given: Given, start: jax.Array) -> jax.Array:
+        return x - _resisting(plan, sign, given, x, start)[0]
 
-@_solve.defjvp
-def _solve_jvp(plan: TurnPlan, sign: float, primals: tuple[Given], tangents: tuple[Given]) -> tuple[Root, Root]:
-    """dx = (d friction / d given) dgiven / (1 - d friction / dx)."""
-    (given,), (change,) = primals, tangents
-    x, start, info = _solve(plan, sign, given)
-    regular = succeeded(info.status) & jnp.isfinite(x)
-    place = jnp.where(regular, x, 0)
-
-    def friction(x: jax.Array, given: Given) -> jax.Array:
-        return _resisting(plan, sign, given, x, start)[0]
-
-    slope = 1 - jax.jacfwd(friction)(place, given)  # `jax.linearize` would forget the rules of second derivatives
-    regular &= slope != 0
-    dx = jax.jvp(functools.partial(friction, place), (given,), (change,))[1] / jnp.where(regular, slope, 1)
-    still = jax.custom_derivatives.zero_from_primal((start, info))
-    return (x, start, info), (jnp.where(regular, dx, 0), *still)
+    return implicit_root(lambda given: _least_root(plan, sign, given), excess, given)

@@ -11,8 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from rvjax import status
-from rvjax.base.words import choose
-from rvjax.cycloidal import CycloidalReducer
+from rvjax.cycloidal import CycloidalReducer, Reducer
 from rvjax.designs import Bearings, Friction, Inertia, RVReducer, expect
 from rvjax.errors import Errors
 from rvjax.life import TurnPlan, check_alone, check_places
@@ -133,10 +132,10 @@ SHARES = {
 
 def check_call(
     where: str,
-    design: RVReducer | CycloidalReducer,
+    design: Reducer,
     errors: Errors,
     friction: Friction | None,
-    supports: tuple[str, str, str],
+    supports: tuple[str, ...],
     samples: int = 1,
     turns: float = 1.0,
 ) -> tuple[TurnPlan, Friction]:
@@ -186,19 +185,6 @@ def check_call(
     return TurnPlan.of(layout, samples, turns), friction
 
 
-def check_direction(direction: str) -> float:
-    """Sign of a direction.
-
-    Args:
-        direction: "forward" or "backward".
-
-    Raises:
-        ValueError: another word.
-    """
-    choose("direction", direction, ("forward", "backward"))
-    return 1.0 if direction == "forward" else -1.0
-
-
 class Call(NamedTuple):
     """Numbers that a call reads, harmless where they cannot be."""
 
@@ -211,7 +197,7 @@ class Call(NamedTuple):
 
 def entered(
     plan: TurnPlan,
-    design: RVReducer | CycloidalReducer,
+    design: Reducer,
     errors: Errors,
     friction: Friction,
     torque: Scalar,

@@ -11,14 +11,14 @@ import numpy as np
 from rvjax._jax.kernels import scan
 from rvjax._jax.programs import ONCE, quick
 from rvjax.catalogue import checked
-from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
-from rvjax.designs import Friction, RVReducer
-from rvjax.errors import Errors, RVErrors
+from rvjax.cycloidal import Reducer, ReducerErrors
+from rvjax.designs import Friction
+from rvjax.errors import Errors
 from rvjax.life import TurnPlan
 from rvjax.loaded import Case, compliance, equilibria, forces, named_forces, output_rotation
 from rvjax.records import Array, Record, Scalar, concrete, field, quantity, record
 from rvjax.running.inputs import Call, check_call, entered, kind_of
-from rvjax.running.losses import around, bearing_moments, ended, ring_slip, worked
+from rvjax.running.losses import around, bearing_moments, ring_slip
 from rvjax.status import SolveInfo, Status
 
 
@@ -33,8 +33,8 @@ class Hysteresis(Record):
 
 @checked
 def hysteresis(
-    design: RVReducer | CycloidalReducer,
-    errors: RVErrors | CycloidalErrors,
+    design: Reducer,
+    errors: ReducerErrors,
     friction: Friction | None = None,
     *,
     input_angle: Scalar = 0.0,
@@ -68,11 +68,7 @@ def hysteresis(
 
 @quick(0, options=ONCE)
 def _hysteresis(
-    plan: TurnPlan,
-    design: RVReducer | CycloidalReducer,
-    errors: RVErrors | CycloidalErrors,
-    friction: Friction,
-    input_angle: Scalar,
+    plan: TurnPlan, design: Reducer, errors: ReducerErrors, friction: Friction, input_angle: Scalar
 ) -> Hysteresis:
     call = entered(plan, design, errors, friction, 0.0, angle=input_angle)
     read, layout = call.read, plan.layout
@@ -92,7 +88,7 @@ def _hysteresis(
     (torque, _), (_, angle), infos = passes
     width = jnp.where(torque > 0, angle[0] - angle[1], 0)
     idle = jnp.any(infos.status[1] == Status.UNLOADED)
-    (width, torque), info = ended(call, infos.status, idle, (width, torque), worked(infos))
+    (width, torque), info = call.gate.close_all((width, torque), infos, idle)
     return Hysteresis(width, torque, info)
 
 
@@ -122,7 +118,6 @@ def _sliding(plan: TurnPlan, call: Call, case: Case, q: jax.Array, carries: jax.
 def _ring_slip(call: Call, case: Case, moved: jax.Array, turned_by: jax.Array) -> jax.Array:
     """Tangential motion of each disc at each pin, (d, p) m, for motions (d, 3) and rotations (d,) rad. Eq. 18."""
     cycloid, e = call.read.design.cycloid, call.read.eccentricity
-    assert case.size is not None
     normal_x, normal_y = -case.system.pins.rows[0], -case.system.pins.rows[1]
     k1 = e * cycloid.pin_count / cycloid.pin_circle_radius
     turn = (1 + k1 * k1 - case.size * case.size) / 2  # K1 cos(psi)
@@ -160,8 +155,8 @@ class Joint(Record):
 
 @checked
 def joint(
-    design: RVReducer | CycloidalReducer,
-    errors: RVErrors | CycloidalErrors,
+    design: Reducer,
+    errors: ReducerErrors,
     friction: Friction | None = None,
     *,
     rated_torque: Scalar,
@@ -205,7 +200,7 @@ def joint(
 @quick(0)
 def _joint(
     plan: TurnPlan,
-    design: RVReducer | CycloidalReducer,
+    design: Reducer,
     errors: Errors,
     friction: Friction,
     rated_torque: Scalar,
@@ -245,5 +240,5 @@ def _joint(
     gate = call.gate._replace(
         refused=(*call.gate.refused, (~finite, Status.NONFINITE), (~positive, Status.INVALID_GEOMETRY))
     )
-    values, info = ended(call._replace(gate=gate), turn.info.status, jnp.zeros((), bool), values, worked(turn.info))
+    values, info = gate.close_all(values, turn.info)
     return Joint(**values, info=info)

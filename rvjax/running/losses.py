@@ -11,14 +11,13 @@ import numpy as np
 
 from rvjax._jax.programs import quick
 from rvjax.catalogue import checked
-from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
-from rvjax.designs import Friction, RVReducer
-from rvjax.errors import RVErrors
+from rvjax.cycloidal import Reducer, ReducerErrors
+from rvjax.designs import Friction
 from rvjax.life import TurnPlan, magnitude, shared, tapered
 from rvjax.loaded import Case, equilibria, forces, named_forces, output_rotation
-from rvjax.records import Array, PyTree, Record, Scalar, field, record
+from rvjax.records import Array, Record, Scalar, field, record
 from rvjax.running.inputs import Call, check_call, entered, kind_of
-from rvjax.status import SolveInfo, Status, succeeded, worst
+from rvjax.status import SolveInfo, Status
 
 PLACES = ("ring_pins", "output_pins", "arm_bearings", "support_bearings", "gear_meshes")
 _TURNED = "turned"
@@ -69,11 +68,6 @@ class Turn(NamedTuple):
         """
         each = sum((loss[:, torque] for loss in self.places.values()), self.coulomb)
         return self.static_factor * jnp.max(each)
-
-    @property
-    def failed(self) -> jax.Array:
-        """Worst status of all equilibria, ()."""
-        return worst(self.info.status)
 
 
 def around(
@@ -144,7 +138,6 @@ def ring_slip(call: Call, case: Case) -> jax.Array:
         case: of the angle.
     """
     cycloid = call.read.design.cycloid
-    assert case.size is not None
     return jnp.asarray(cycloid.pin_circle_radius * case.size - cycloid.pin_radius)
 
 
@@ -168,35 +161,6 @@ def bearing_moments(call: Call, arm: jax.Array, support: jax.Array) -> dict[str,
         load = magnitude(force) if bearings.preload is None else tapered(bearings, force).dynamic
         moments["support_bearings"] = friction.support_bearings * load * bearings.support.pitch_diameter / 2
     return moments
-
-
-def ended(
-    call: Call, statuses: jax.Array, idle: jax.Array, values: object, info: SolveInfo
-) -> tuple[PyTree, SolveInfo]:
-    """Values for the user and their info: NaN where the input or an equilibrium fails.
-
-    Args:
-        call: its gate.
-        statuses: of all equilibria.
-        idle: whether the result counts as UNLOADED.
-        values: floating results.
-        info: steps and residual.
-    """
-    failed = worst(statuses)
-    done = jnp.where(idle, int(Status.UNLOADED), int(Status.CONVERGED))
-    state = jnp.where(succeeded(failed), done, failed).astype(jnp.int32)
-    values, info = call.gate.close(values, info=info.replace(status=state))
-    fine = succeeded(info.status)
-    return jax.tree.map(lambda value: jnp.where(fine, value, jnp.nan), values), info
-
-
-def worked(info: SolveInfo) -> SolveInfo:
-    """Steps of all equilibria and their largest residual.
-
-    Args:
-        info: of each.
-    """
-    return SolveInfo(worst(info.status), jnp.sum(info.steps), jnp.max(info.residual))
 
 
 @record
@@ -225,8 +189,8 @@ class Losses(Record):
 
 @checked
 def losses(
-    design: RVReducer | CycloidalReducer,
-    errors: RVErrors | CycloidalErrors,
+    design: Reducer,
+    errors: ReducerErrors,
     friction: Friction | None = None,
     *,
     output_torque: Scalar,
@@ -271,8 +235,8 @@ def losses(
 @quick(0)
 def _losses(
     plan: TurnPlan,
-    design: RVReducer | CycloidalReducer,
-    errors: RVErrors | CycloidalErrors,
+    design: Reducer,
+    errors: ReducerErrors,
     friction: Friction,
     output_torque: Scalar,
     output_speed: Scalar,
@@ -299,7 +263,7 @@ def _losses(
     )
     values["self_locking"] = (turn.at_rest(2) > jnp.abs(torque)).astype(torque.dtype)
     idle = jnp.any(turn.info.status[:, 1:] == Status.UNLOADED)
-    values, info = ended(call, turn.info.status, idle, values, worked(turn.info))
+    values, info = call.gate.close_all(values, turn.info, idle)
     return Losses(**values, info=info)
 
 

@@ -6,53 +6,55 @@ the input drives, or that with which the output drives. The motion has the sign 
 
 import dataclasses
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.programs import QUICK, quick
-from rvjax.catalogue import part_class
-from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
+from rvjax.cycloidal import CycloidalReducer, Reducer, ReducerErrors
 from rvjax.designs import Friction, RVReducer
-from rvjax.errors import Errors, RVErrors
+from rvjax.errors import Errors
 from rvjax.life import TurnPlan
-from rvjax.loaded import DriveConditions as OfDrive, LoadedConditions, Methods, ways
-from rvjax.outputs import Description, Joint, Output, Reading, Solved, Source, condition
+from rvjax.loaded import CONTACTS, SUPPORTS, check_carrying, ways
+from rvjax.outputs import Description, Joint, Output, Reading, Solved, Source, condition, number_of
 from rvjax.records import PyTree, Scalar
 from rvjax.running.bench import BackDriving, back_driving
 from rvjax.running.inputs import check_call, entered
 from rvjax.running.joint import hysteresis
-from rvjax.running.losses import around, backward_efficiency, efficiency, ended, worked
+from rvjax.running.losses import around, backward_efficiency, efficiency
 from rvjax.status import Status, worst
 
-Reducer = RVReducer | CycloidalReducer
+
+@dataclass(frozen=True)
+class FrictionConditions:
+    """Operating conditions of the friction of a single-stage drive; those of the bench as in `loaded`."""
+
+    output_torque: float = condition(0.0, "torque of the discs on the output", unit="N m", torque=True)
+    input_angle: float = condition(0.0, "of the shaft, at which the bench twists the output", unit="rad")
+    probe_angles: int = condition(
+        1, "input angles of the bench, equally spaced over the span from the input angle on", minimum=1, maximum=1000
+    )
+    pin_contact: str = condition("hertz", "contact law of discs and pins", choices=CONTACTS)
+    carrier: str = condition("fixed", "centre of the carrier", choices=SUPPORTS)
+    output_speed: float | None = condition(
+        None, "of the output against the part at rest; its sign is the direction of motion", unit="rad/s"
+    )
+    running_samples: int = condition(
+        24, "input angles of a turn of the output, for the friction", minimum=1, maximum=100_000
+    )
 
 
-class FrictionConditions(Methods, Protocol):
-    """Conditions that friction reads."""
+@dataclass(frozen=True)
+class RVFrictionConditions(FrictionConditions):
+    """Those of an RV reducer."""
 
-    @property
-    def output_torque(self) -> float:
-        """Of the discs on the output, N m."""
-
-    @property
-    def output_speed(self) -> float | None:
-        """Of the output, rad/s; None: at rest."""
-
-    @property
-    def running_samples(self) -> int:
-        """Angles of a turn of the output."""
-
-    @property
-    def input_angle(self) -> float:
-        """At which the bench twists the output, rad."""
-
-    @property
-    def probe_angles(self) -> int:
-        """Angles of the bench, which divide a crank turn."""
+    output_torque: float = condition(0.0, "torque of the discs on the carrier", unit="N m", torque=True)
+    input_angle: float = condition(0.0, "of the sun, at which the bench twists the output", unit="rad")
+    sun: str = condition("fixed", "centre of the sun", choices=SUPPORTS)
 
 
 class Turned(NamedTuple):
@@ -66,16 +68,6 @@ class Turned(NamedTuple):
     status: jax.Array
 
 
-def supports_of(conditions: FrictionConditions) -> tuple[str, str, str]:
-    """Contact, carrier and sun.
-
-    Args:
-        conditions: conditions.
-    """
-    methods = ways(conditions)
-    return methods["contact"], methods["carrier"], methods["sun"]
-
-
 def turned(
     design: Reducer, errors: PyTree, conditions: FrictionConditions, torques: tuple[Scalar, ...]
 ) -> tuple[Turned, ...]:
@@ -87,7 +79,7 @@ def turned(
         conditions: conditions.
         torques: of the output, () N m each.
     """
-    supports = supports_of(conditions)
+    supports = (*ways(conditions).values(),)
     plan, friction = check_call("running", design, errors, None, supports, conditions.running_samples)
     return _turned(plan, errors.stiffened(design), errors, friction, torques, conditions.output_speed or 0.0)
 
@@ -100,11 +92,11 @@ def _turned(
     under = jnp.stack([jnp.asarray(torque, call.read.torque.dtype) for torque in torques])
     turn, turns = around(plan, call, under), []
     for k in range(len(torques)):
-        statuses = turn.info.status[:, k]
-        idle = (under[k] != 0) & jnp.any(statuses == Status.UNLOADED)
+        infos = jax.tree.map(lambda x, k=k: x[:, k], turn.info)
+        idle = (under[k] != 0) & jnp.any(infos.status == Status.UNLOADED)
         values = dict(loss=turn.mean(k, call.speed), rest=turn.at_rest(k), places=turn.at(k))
         values |= dict(drag=turn.drag(call.speed), viscous=turn.viscous)
-        values, info = ended(call, statuses, idle, values, worked(turn.info))
+        values, info = call.gate.close_all(values, infos, idle)
         turns.append(Turned(**values, status=info.status))
     return tuple(turns)
 
@@ -158,21 +150,19 @@ def together(
     return turned(design, errors, conditions, tuple(torque_of[source] for source in sources))
 
 
-def driven_back(design: Reducer, errors: RVErrors | CycloidalErrors, conditions: FrictionConditions) -> BackDriving:
+def driven_back(design: Reducer, errors: ReducerErrors, conditions: FrictionConditions) -> BackDriving:
     """Torque on the output that turns it in the direction of the motion."""
     how: dict[str, Any] = dict(samples=conditions.running_samples) | ways(conditions)
     how["direction"] = "forward" if sign_of(conditions) > 0 else "backward"
     return back_driving(errors.stiffened(design), errors, **how)
 
 
-def loop(design: Reducer, errors: RVErrors | CycloidalErrors, conditions: FrictionConditions) -> Solved:
+def loop(design: Reducer, errors: ReducerErrors, conditions: FrictionConditions) -> Solved:
     """Largest of the probe angles, which divide a crank turn."""
-    design, step = (
-        errors.stiffened(design),
-        2 * np.pi * design.ratio / design.cycloid.pin_count / conditions.probe_angles,
-    )
+    design = errors.stiffened(design)
+    step = 2 * np.pi * design.ratio / design.cycloid.pin_count / conditions.probe_angles
 
-    how: dict[str, Any] = dict(ways(conditions))
+    how: dict[str, Any] = {**ways(conditions)}
 
     def at(angle: jax.Array) -> tuple[jax.Array, jax.Array]:
         solution = hysteresis(design, errors, input_angle=angle, **how)
@@ -181,25 +171,6 @@ def loop(design: Reducer, errors: RVErrors | CycloidalErrors, conditions: Fricti
     angles = conditions.input_angle + step * np.arange(conditions.probe_angles)
     width, status = jax.vmap(at)(jnp.asarray(angles, jnp.result_type(float, *jax.tree.leaves((design, errors)))))
     return jnp.max(width), worst(status)
-
-
-def _conditions(base: type) -> Any:
-    """Conditions of the loaded reducer that friction reads, with speed and number of angles."""
-    kept = ("output_torque", "input_angle", "probe_angles", "pin_contact", "carrier", "sun")
-    fields = [
-        (f.name, Any, dataclasses.field(default=f.default, metadata=f.metadata))
-        for f in dataclasses.fields(base)
-        if f.name in kept
-    ]
-    speed = condition(None, "of the output against the part at rest; its sign is the direction of motion", unit="rad/s")
-    samples = condition(24, "input angles of a turn of the output, for the friction", minimum=1, maximum=100_000)
-    return [*fields, ("output_speed", Any, speed), ("running_samples", Any, samples)]
-
-
-RunningConditions = dataclasses.make_dataclass("RunningConditions", _conditions(LoadedConditions), frozen=True)
-"""Operating conditions of the friction."""
-DriveConditions = dataclasses.make_dataclass("DriveConditions", _conditions(OfDrive), frozen=True)
-"""Of a single-stage drive."""
 
 
 def _work(conditions: FrictionConditions) -> tuple[str, int]:
@@ -222,10 +193,6 @@ def _no_load(of_turn: Turned, design: Reducer, conditions: FrictionConditions) -
     return of_turn.loss / abs(design.ratio), of_turn.status
 
 
-def _back_driving(start: BackDriving, design: Reducer, conditions: FrictionConditions) -> Solved:
-    return start.torque, start.info.status
-
-
 def _power(of_turn: Turned, design: Reducer, conditions: FrictionConditions) -> Solved:
     assert conditions.output_speed is not None  # a study without it has an error
     return abs(conditions.output_speed) * of_turn.loss, of_turn.status
@@ -244,12 +211,8 @@ def _refusing(
     def refuse(design: Reducer, conditions: FrictionConditions) -> None:
         if design.friction is None:
             raise ValueError(f"design.friction is missing: {name} needs it")
-        for part in ("stiffness", "contact"):
-            if getattr(design, part) is None:
-                cls = part_class(type(design), part)
-                keys = ", ".join(f.name for f in dataclasses.fields(cls) if f.default is dataclasses.MISSING)
-                raise ValueError(f"design.{part} is missing: {name} needs it, with {keys}")
-        check_call(name, design, design.error_record(), None, supports_of(conditions), conditions.running_samples)
+        check_carrying(design, name)
+        check_call(name, design, design.error_record(), None, (*ways(conditions).values(),), conditions.running_samples)
         if check is not None:
             check(conditions)
 
@@ -275,7 +238,7 @@ UNKNOWN = (
 DESCRIPTION = Description(
     name="running",
     design=RVReducer,
-    conditions=RunningConditions,
+    conditions=RVFrictionConditions,
     outputs={
         "efficiency": Output(
             "-", "output over input power, input drives", Reading((forward,), _efficiency), SPEED,
@@ -295,7 +258,7 @@ DESCRIPTION = Description(
         ),
         "back_driving_torque": Output(
             "N m", "on the output, turns it from every angle, input free; inf: self-locking",
-            Reading((driven_back,), _back_driving), refuse=_refusing("back_driving_torque"),
+            Reading((driven_back,), number_of("torque")), refuse=_refusing("back_driving_torque"),
         ),
         "power_loss": Output(
             "W", "at torque and speed, mean of a turn", Reading((forward, backward), _power, _set_of), SPEED,
@@ -316,5 +279,5 @@ DESCRIPTION = Description(
     ),
     work={source: _work for source in (idle, forward, backward)},
 )  # fmt: skip
-OTHERS = (dataclasses.replace(DESCRIPTION, design=CycloidalReducer, conditions=DriveConditions),)
+OTHERS = (dataclasses.replace(DESCRIPTION, design=CycloidalReducer, conditions=FrictionConditions),)
 """Of single-stage drives."""

@@ -12,8 +12,7 @@ from rvjax import loaded, running
 from rvjax._jax.programs import QUICK
 from rvjax.base import progress
 from rvjax.commands.export.inputs import SOLVING, STATISTICS, ExportInputs
-from rvjax.cycloidal import CycloidalErrors
-from rvjax.errors import RVErrors
+from rvjax.cycloidal import ReducerErrors
 from rvjax.population import Population, drawn, root_key
 from rvjax.records import PyTree, Record, field, record, text
 from rvjax.render import Note, Report, Table, Text, as_csv
@@ -89,7 +88,7 @@ def compute(inputs: ExportInputs) -> Exported:
     return Exported(found, Header(study.name, said, rvjax.__version__), _error(inputs, inputs.errors))
 
 
-def _error(inputs: ExportInputs, errors: RVErrors | CycloidalErrors | None) -> np.ndarray | None:
+def _error(inputs: ExportInputs, errors: ReducerErrors | None) -> np.ndarray | None:
     """Transmission error of a unit under the rated torque at angles of a turn of the output; None where none is wanted.
 
     Raises:
