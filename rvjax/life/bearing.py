@@ -256,8 +256,8 @@ def _bearing_life(method: str, crowned: bool, bearing: RollingBearing, *given: S
     weight = weight / jnp.where(total > 0, total, 1)
     damage, info = damaged(method, bearing, ratings(bearing), force, angle, weight, clearance, tilt, crowned)
     values = (1e6 * inverse(damage.rate), damage.load)
-    (life, load), info = gate.close_all(values, info, idle=~(damage.rate > 0))
-    return BearingLife(life, load, info)
+    (life, load), ended = gate.close_all(values, info, idle=~(damage.rate > 0))
+    return BearingLife(life, load, ended.replace(steps=info.steps))
 
 
 def inverse(rate: jax.Array) -> jax.Array:
