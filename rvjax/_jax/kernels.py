@@ -267,9 +267,9 @@ def block_by_block(function: Callable[[State], Result], arguments: State, width:
             lambda all_, new: jax.lax.dynamic_update_slice_in_dim(all_, new, first, 0), results, block(first)
         )
 
-    shapes = jax.eval_shape(block, jnp.int32(0))
+    shapes = jax.eval_shape(block, 0)
     nothing = jax.tree.map(lambda x: jnp.zeros((cases, *x.shape[1:]), x.dtype), shapes)
-    return jax.lax.fori_loop(jnp.int32(0), jnp.int32(-(-cases // width)), write, nothing)
+    return jax.lax.fori_loop(0, -(-cases // width), write, nothing)
 
 
 def in_blocks(function: Callable[..., object], size: int, *arrays: np.ndarray) -> PyTree:
