@@ -218,7 +218,7 @@ def _check(
     for name, count in counts.items():
         if isinstance(count, bool) or not isinstance(count, int) or count < 1:
             raise ValueError(f"{name} = {count!r}: must be a whole number of at least 1")
-    deviate_of(confidence)  # refuses one outside 0 to 1
+    deviate_of(confidence)  # an error if it is not between 0 and 1
 
 
 def _estimate(values: np.ndarray, confidence: float) -> Estimate:

@@ -43,7 +43,7 @@ def solve(response: Response, population: Population, count: int, errors: Errors
         population: gives the elements of each field; its tolerances have no effect.
         count: of the units.
         errors: (elements, n) of the active fields, of n of the units.
-        row: numbers row[0], row[1] ... that the response has beside its outputs, in their place.
+        row: name of numbers row[0], row[1] ... that the response has and does not list, in the place of its outputs.
 
     Returns:
         Values (k, n) by `response_names` or of the row, status (n,) and state (numbers, n), which their gradients need.
