@@ -24,6 +24,7 @@ from rvjax.tolerances import (
     allocate,
     cost_curve,
     it_width,
+    monte_carlo,
     rss,
     worst_case,
 )
@@ -131,6 +132,13 @@ def test_a_curve_of_yields_is_that_of_the_closed_form(costly):
         assert abs(above(seen, target, min(count, 20_000))) < (8 if costly else 4)  # of both samples
         assert cost == pytest.approx(closed_cost(target), rel=0.05 if costly else 0.01)
     assert [seen for seen, _ in found.curve] == sorted(seen for seen, _ in found.curve)
+    if costly:  # of the first units of the certificate, of which only those near a limit were solved
+        widths = {look["cost"]: look["half_widths"] for look in found.history}
+        for seen, cost in found.curve:
+            own = parts | {name: parts[name].with_half_width(width) for name, width in widths[cost].items()}
+            whole = monte_carlo(response, own, samples=4096, seed=found.certificate.seed, requirements=need)
+            assert seen == whole.yield_["y"].value
+        assert 20_000 < found.evaluations["certificates"] < 4 * 20_000
     again = allocate(response, parts, need, **(options | dict(yields=())))
     assert again.curve == [] and (again.cost, again.history) == (found.cost, found.history[: len(again.history)])
 
