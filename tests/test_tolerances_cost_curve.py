@@ -138,7 +138,7 @@ def test_a_curve_of_yields_is_that_of_the_closed_form(costly):
             own = parts | {name: parts[name].with_half_width(width) for name, width in widths[cost].items()}
             whole = monte_carlo(response, own, samples=4096, seed=found.certificate.seed, requirements=need)
             assert seen == whole.yield_["y"].value
-        assert 20_000 < found.evaluations["certificates"] < 4 * 20_000
+        assert found.evaluations["certificates"] % found.certificate.samples  # not only whole certificates
     again = allocate(response, parts, need, **(options | dict(yields=())))
     assert again.curve == [] and (again.cost, again.history) == (found.cost, found.history[: len(again.history)])
 
