@@ -28,9 +28,20 @@ from rvjax.study.goals import (
     parse_variables,
 )
 from rvjax.study.identification import Identification, parse_identification
-from rvjax.study.study import About, Study
+from rvjax.study.study import Study
 from rvjax.study.tolerances import FORMS, RING, RING_FORMS, parse_tolerances, refuse_unplaced
-from rvjax.study.values import Toml, field_value, integer, known, naming, share, subtable, tables_of, text_of
+from rvjax.study.values import (
+    Toml,
+    field_value,
+    integer,
+    known,
+    naming,
+    parse_about,
+    share,
+    subtable,
+    tables_of,
+    text_of,
+)
 from rvjax.tolerances import FEWEST, Limits, Nominal
 
 TABLES = {"about", "accuracy", "columns", "conditions", "cost", "design", "identify", "middle"}
@@ -39,7 +50,6 @@ RUN = {"seed": (0, 2**32 - 1), "samples": (FEWEST, 2**32), "certificate_samples"
 """Least and largest value of each integer of the table [run]."""
 Reader = Callable[[Mapping[str, object], Study], object]
 """Reads a table that only one command has."""
-LONGEST = 200  # characters of a line of [about]
 EMBEDDED = resources.files("rvjax.study") / "embedded"
 
 
@@ -159,7 +169,7 @@ def _study(name: str, text: str, folder: Path, tables: Mapping[str, object]) -> 
         read_in=read_in,
         accuracy=parse_accuracy(table["accuracy"], kind.outputs, requirements),
         middles=parse_middles(table["middle"], tolerances, variables),
-        about=_about(table["about"]),
+        about=parse_about(table["about"]),
         identification=identification,
         columns=table["columns"],
         variables=variables,
@@ -168,18 +178,6 @@ def _study(name: str, text: str, folder: Path, tables: Mapping[str, object]) -> 
         losses=losses,
         **run,
     )
-
-
-def _about(table: Toml) -> About:
-    """Title, author and revision; the revision may be a number that is counted."""
-    known(table, [f.name for f in dataclasses.fields(About)], "about")
-    entries = {}
-    for key, value in table.items():
-        text = str(value) if isinstance(value, int) and not isinstance(value, bool) else value
-        if not isinstance(text, str) or not text.strip() or not text.isprintable() or len(text) > LONGEST:
-            raise ValueError(f"about.{key} = {text!r}: must be a text of one line, at most {LONGEST} characters")
-        entries[key] = text.strip()
-    return About(**entries)
 
 
 def _run(table: Toml) -> dict[str, PyTree]:

@@ -37,32 +37,13 @@ from rvjax.study.response import (
 )
 from rvjax.study.tolerances import Form, by_error, forms, metadata, mid_points
 from rvjax.study.values import (
+    About,
     StudyError as StudyError,  # other modules take it from here
     is_initial,
     naming,
     tables_of,
 )
 from rvjax.tolerances import Cost, Limits, Middle, Nominal, QuadraticLoss, Variable
-
-
-@dataclass(frozen=True)
-class About:
-    """Title, author and revision of a study for the head of reports; "" for a missing entry.
-
-    Attributes:
-        title: of the report; "" for the name of the study.
-        author: person responsible for the values.
-        revision: of the study or of the drawing.
-    """
-
-    title: str = ""
-    author: str = ""
-    revision: str = ""
-
-    def line(self) -> str:
-        """Join all entries in one line; "" without any."""
-        said = [self.title, self.author, f"revision {self.revision}" if self.revision else ""]
-        return "; ".join(filter(None, said))
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,12 @@
 """Checked values of a study file: an error is one line that names key, value and unit."""
 
+import dataclasses
 import functools
 import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -284,3 +286,42 @@ def is_replaced(value: PyTree, about: Metadata, note: str) -> bool:
         return not np.isclose(field_value(text, about, ""), value, rtol=1e-9, atol=0)
     except ValueError:  # words of the user
         return False
+
+
+LONGEST = 200  # characters of a line of [about]
+
+
+@dataclass(frozen=True)
+class About:
+    """Title, author and revision of a study for the head of reports; "" for a missing entry.
+
+    Attributes:
+        title: of the report; "" for the name of the study.
+        author: person responsible for the values.
+        revision: of the study or of the drawing.
+    """
+
+    title: str = ""
+    author: str = ""
+    revision: str = ""
+
+    def line(self) -> str:
+        """Join all entries in one line; "" without any."""
+        said = [self.title, self.author, f"revision {self.revision}" if self.revision else ""]
+        return "; ".join(filter(None, said))
+
+
+def parse_about(table: Toml) -> About:
+    """The table [about]; the revision may be a number that is counted.
+
+    Raises:
+        ValueError: names the key and its value.
+    """
+    known(table, [f.name for f in dataclasses.fields(About)], "about")
+    entries = {}
+    for key, value in table.items():
+        text = str(value) if isinstance(value, int) and not isinstance(value, bool) else value
+        if not isinstance(text, str) or not text.strip() or not text.isprintable() or len(text) > LONGEST:
+            raise ValueError(f"about.{key} = {text!r}: must be a text of one line, at most {LONGEST} characters")
+        entries[key] = text.strip()
+    return About(**entries)

@@ -122,8 +122,8 @@ def compute(inputs: MontecarloInputs) -> Sampled | None:
     """The statistics, after they are written to the files that options name; None in one of several processes."""
     if inputs.worker:
         folder, number, processes = inputs.worker
-        share = lambda group: _run(inputs, batch.study_of(inputs.source, group), group)  # noqa: E731
-        batch.work(share, folder, int(number), int(processes))
+        part = lambda group: _run(inputs, batch.study_of(inputs.source, group), group)  # noqa: E731
+        batch.work(part, folder, int(number), int(processes))
         return None
     with inputs.group or contextlib.nullcontext() as group:
         loaded = batch.study_of(inputs.source, group)

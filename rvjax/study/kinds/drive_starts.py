@@ -14,18 +14,9 @@ from rvjax.catalogue import ASSUMED, BASES
 from rvjax.cycloidal import CycloidalReducer
 from rvjax.population import tolerance_unit
 from rvjax.records import PyTree
-from rvjax.study.kinds.kind import (
-    Assumed,
-    Choices,
-    Known,
-    Numbers,
-    Start,
-    rewritten,
-    scaled_line,
-    stated,
-    with_torque,
-)
+from rvjax.study.kinds.kind import Assumed, Choices, Known, Numbers, Start
 from rvjax.study.kinds.scaling import number_at
+from rvjax.study.kinds.tables import rewritten, scaled_line, stated, with_torque
 from rvjax.study.values import in_unit
 from rvjax.units import arcmin, parse
 

@@ -15,11 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.programs import ONCE, quick
-from rvjax.catalogue import BASES, pin_facts, refuse_overlap, shown
+from rvjax.catalogue import BASES, shown
 from rvjax.designs import BallBearing, InvoluteStage, RollerBearing, RVReducer
 from rvjax.geometry import contact_ratio
 from rvjax.life import dynamic_rating, static_rating
 from rvjax.records import PyTree, Scalar
+from rvjax.study.kinds.pins import pin_facts, refuse_overlap
 from rvjax.study.kinds.scaling import Following, Law, number_at
 from rvjax.study.values import Toml, subtable
 from rvjax.units import rpm

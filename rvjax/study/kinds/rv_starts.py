@@ -17,19 +17,10 @@ from rvjax.designs import Bearings, InvoluteStage, RVReducer
 from rvjax.life import static_rating
 from rvjax.population import it_width, tolerance_unit
 from rvjax.records import PyTree, Scalar
-from rvjax.study.kinds.kind import (
-    Assumed,
-    Choices,
-    Known,
-    Numbers,
-    Start,
-    rewritten,
-    scaled_line,
-    stated,
-    with_torque,
-)
+from rvjax.study.kinds.kind import Assumed, Choices, Known, Numbers, Start
 from rvjax.study.kinds.rv_facts import AXIAL, FOLLOWING, KNOWN_REDUCERS, LAWS, NAMES, RATED, SIZES
 from rvjax.study.kinds.scaling import Law, number_at, outside
+from rvjax.study.kinds.tables import rewritten, scaled_line, stated, with_torque
 from rvjax.study.values import in_unit
 from rvjax.units import mm, um
 

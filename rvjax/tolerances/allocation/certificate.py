@@ -42,6 +42,7 @@ class Certifier:
         """Units solved so far."""
         self._near: NearUnits | None = None
         self._of_curve: NearUnits | None = None
+        """The first units of the certificate, for the curve of costs."""
         self._names = problem.run.names
         """Responses that certificates solve: those of parts in which a limit decides, then all."""
         self._whole: Statistics | None = None
