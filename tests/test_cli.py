@@ -116,7 +116,7 @@ def test_help_names_every_command(capsys):
     ],
 )
 def test_small_work_stays_on_the_processor_unless_a_platform_is_named(monkeypatch, given, gpu, platforms, default):
-    for name in ("JAX_PLATFORMS", "XLA_PYTHON_CLIENT_PREALLOCATE"):
+    for name in ("JAX_PLATFORMS", "XLA_PYTHON_CLIENT_PREALLOCATE", "OPENBLAS_NUM_THREADS"):
         monkeypatch.setenv(name, "")  # restored afterwards
         monkeypatch.delenv(name)
     if given is not None:
@@ -126,6 +126,7 @@ def test_small_work_stays_on_the_processor_unless_a_platform_is_named(monkeypatc
         assert os.environ.get("JAX_PLATFORMS") == platforms
         assert jax.config.values["jax_default_device"] == default
         assert os.environ["XLA_PYTHON_CLIENT_PREALLOCATE"] == "false"
+        assert os.environ["OPENBLAS_NUM_THREADS"] == "1"
     finally:
         jax.config.update("jax_default_device", None)
 
