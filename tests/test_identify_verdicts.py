@@ -9,7 +9,7 @@ import pytest
 
 import rvjax
 from rvjax import identify
-from rvjax.identify.goodness_of_fit import pareto_shape
+from rvjax.identify.goodness_of_fit import pareto_shape, reliability
 from rvjax.identify.sampler import Draws, diagnose
 from tests.identify_models import THREE, G, Noise, line, many, solved, unit
 
@@ -52,6 +52,15 @@ def test_pareto_shape_of_known_tails():
         found = [pareto_shape(-k * np.log(rng.uniform(size=4000))) for _ in range(20)]
         assert np.mean(found) == pytest.approx(0.95 * k + 0.025, abs=4 * (1 + k) / math.sqrt(190 * 20))
     assert pareto_shape(np.zeros(100)) == 0.0
+
+
+@pytest.mark.parametrize(("part", "trusted"), [(1e-4, True), (1.0, False)])
+def test_weights_that_are_equal_have_no_tail(part, trusted):
+    """Excesses of shape 1 on weights of 1, whatever their size: of a ten-thousandth they leave 99.9 % of the draws."""
+    log_weights = np.log1p(part * np.random.default_rng(10).pareto(1.0, size=500))
+    found = reliability(log_weights, 1)
+    assert pareto_shape(log_weights) > 0.7 and found.trusted is trusted
+    assert (found.pareto_k == 0, found.ess > 0.99 * 500) == (trusted, trusted)
 
 
 def test_diagnostics_of_chains():
