@@ -22,7 +22,7 @@ settings()
 from rvjax.response.response import PLAIN  # noqa: E402
 from rvjax.study import load  # noqa: E402  (after the flags)
 from rvjax.tolerances import ReciprocalPower, Requirement, Tolerance, allocate  # noqa: E402
-from rvjax.tolerances.allocation.constraints import Constraints  # noqa: E402
+from rvjax.tolerances.allocation.constraints import constraints_of  # noqa: E402
 from rvjax.tolerances.allocation.problem import problem_of  # noqa: E402
 from rvjax.tolerances.allocation.programme import Programme  # noqa: E402
 from rvjax.units import um  # noqa: E402
@@ -44,7 +44,7 @@ class Race:
 
     def begin(self):
         """Forget everything: each optimiser pays for all it sees."""
-        self.constraints = Constraints(self.problem, self.problem.decisions)
+        self.constraints = constraints_of(self.problem)
         self.constraints.sample(self.problem.samples)
         self.constraints.begin(np.log(self.start))
         self.constraints.units.solved = 0

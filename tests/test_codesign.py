@@ -7,7 +7,7 @@ import pytest
 from codesign_cases import CASES, LENGTH, LEVER, NEED, OPTIONS, PARTS, arguments, levered, one_start
 
 from rvjax.tolerances import Memo, Middle, Nominal, ReciprocalPower, Requirement, Tolerance, Variable, allocate
-from rvjax.tolerances.allocation.constraints import Constraints
+from rvjax.tolerances.allocation import constraints
 from rvjax.tolerances.allocation.problem import problem_of
 from tests.oracles.responses import Lever, Linear
 
@@ -63,7 +63,7 @@ def constraints_of(response=LEVER, variables=None):
         middles={}, variables=variables or {"length": LENGTH}, objective={}, losses=None, progress=False, memo=None,
         samples=2048, seed=0, joint_target=None, max_steps=9,
     )  # fmt: skip
-    made = Constraints(problem, problem.decisions)
+    made = constraints.constraints_of(problem)
     made.begin(problem.decisions.start)
     return made
 

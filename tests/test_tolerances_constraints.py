@@ -27,7 +27,7 @@ from rvjax.tolerances import (
     WorstCaseWithin,
 )
 from rvjax.tolerances.allocation.certificate import rejects_at_limits
-from rvjax.tolerances.allocation.constraints import Constraints
+from rvjax.tolerances.allocation.constraints import constraints_of
 from rvjax.tolerances.allocation.problem import FEW, problem_of
 from rvjax.tolerances.allocation.rays import Rays
 from rvjax.tolerances.allocation.result import _without_groups, margins_of
@@ -53,7 +53,7 @@ def constraints(required, *, response=BENT, costly=False, samples=4096, begun=X,
         variables={"d": Variable(0.5, 1.5, 1.0)}, objective=more.get("objective"), losses=more.get("losses"),
         progress=False, memo=None, samples=samples, seed=3, joint_target=more.get("joint_target"), max_steps=100,
     )  # fmt: skip
-    made = Constraints(problem, problem.decisions)
+    made = constraints_of(problem)
     made.sample(samples)
     made.begin(begun)
     return made

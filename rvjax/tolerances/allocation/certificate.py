@@ -164,11 +164,9 @@ class Certifier:
             k: number of the row.
         """
         item, target = constraints.rows[k].item, constraints.target(k)
-        return (
-            _CLOSE * target
-            if item is not None and self.rare(item)
-            else self._problem.shown(1 - target, self.run.samples)
-        )
+        if item is not None and self.rare(item):
+            return _CLOSE * target
+        return self._problem.shown(1 - target, self.run.samples)
 
     def all_wanted(self, constraints: Constraints) -> np.ndarray:
         """`wanted` (c,) of all rows, 0 where no share is limited."""

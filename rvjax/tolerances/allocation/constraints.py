@@ -15,31 +15,35 @@ from scipy import special
 from rvjax._jax.sizes import PULLED
 from rvjax.population import first_points
 from rvjax.response import response_names
-from rvjax.tolerances.allocation.decisions import AT, Decisions
+from rvjax.tolerances.allocation.decisions import AT
 from rvjax.tolerances.allocation.look import DECIDES, Look, rows_of
-from rvjax.tolerances.allocation.problem import FEW, Problem
+from rvjax.tolerances.allocation.problem import FEW, QUICK, STAGES, Problem
 from rvjax.tolerances.allocation.sample import Limited, NearUnits, Units, Values
 from rvjax.tolerances.allocation.tails import Centres, Quantile, TailSample, centres_of, quantile
 from rvjax.tolerances.allocation.whole_sample import WholeSample, nominal_outputs
 from rvjax.tolerances.limits import Limits
 
-_QUARTER = 2  # times as many quick units as are behind a slope, at least
+_BEYOND = 40  # units of the last sample beyond each limit that decides
+_MOST = 16_384  # units of a sample that grows, at most
+_FIELDS = 60  # decisions that `QUICK` units are enough for: more learn the sample by heart
+_PART = 2  # times as many units in the tails as are behind a slope, at least
 _SMALL = 1e-3  # way of a limit in parts of the spread, where the median lies beyond it
 
 
 class Constraints(WholeSample):
-    """Constraints of a problem on a sample of units."""
+    """Constraints of a problem on a plain sample that grows: of few units, and later of those near a limit alone."""
 
-    def __init__(self, problem: Problem, decisions: Decisions) -> None:
-        self.problem, self.decisions = problem, decisions
+    def __init__(self, problem: Problem, first: int) -> None:
+        """Of a problem, with so many units for the first look."""
+        self.problem, self.decisions, self.first = problem, problem.decisions, first
         required = problem.requirements
         self.rows = rows_of(required, joint=problem.joint_target is not None)
         self.most_failed = min((i.most_failed for i in required.values() if i.most_failed < 1), default=None)
         wanted = {n for n, i in required.items() if i.of_sample} | set(problem.losses)
-        self.units = Units(problem.response, decisions, wanted, problem.memo)
-        self.names = response_names(problem.response, decisions.base)
+        self.units = Units(problem.response, self.decisions, wanted, problem.memo)
+        self.names = response_names(problem.response, self.decisions.base)
         outputs = {n for n, item in required.items() if not item.of_sample} | set(problem.objective)
-        self._outputs = tuple(sorted(outputs))  # without errors
+        self.outputs = tuple(sorted(outputs))  # without errors
         self.ways = np.ones(len(self.rows))
         self.moved = np.array([AT if row.exact else 0.0 for row in self.rows])
         """Corrections (c,) of the used ways that are no quantiles."""
@@ -47,7 +51,7 @@ class Constraints(WholeSample):
         """Share of units (c,) that may lie beyond each limit on the sample; 0 where no share is limited."""
         self.aside: frozenset[str] = frozenset()
         self._near: NearUnits | None = None
-        self.sample(problem.effort.first or problem.sample)
+        self.sample(first)
 
     def target(self, k: int) -> float:
         """Share of units that a row lets lie beyond its limit; 0 where it limits no share."""
@@ -58,6 +62,18 @@ class Constraints(WholeSample):
         return 1 - float(getattr(row.item, "target", joint if joint is not None else 0.0))
 
     # The sample.
+
+    def counts(self, look: Look) -> list[int]:
+        """Units of the samples to come.
+
+        Args:
+            look: at the end of the search on the first sample.
+        """
+        near = [1 - getattr(r.item, "target", self.problem.joint_target or 0.0)
+                for k, r in enumerate(self.rows) if r.share and look.used[k] > DECIDES]  # fmt: skip
+        wanted = 2 ** math.ceil(math.log2(_BEYOND / min(near, default=1.0)))
+        last = min(max(wanted, min(self.problem.samples, QUICK), FEW), _MOST)
+        return [*(count for count in STAGES if count < last), last] if last > FEW else []
 
     def sample(self, count: int) -> None:
         """Take so many plain units; fewer ones are among them."""
@@ -70,7 +86,7 @@ class Constraints(WholeSample):
         """Measure the way of each limit: of the median to it, without priced errors or at the start."""
         free = self.decisions.without_errors(x)
         values = [self.units.values(p, self.plain) for p in (free, self.decisions.population(x))]
-        outputs, _ = nominal_outputs(self.problem.response, self.decisions.population(x), self._outputs)
+        outputs, _ = nominal_outputs(self.problem.response, self.decisions.population(x), self.outputs)
         for k, row in enumerate(self.rows):
             if row.item is None:
                 continue
@@ -94,49 +110,28 @@ class Constraints(WholeSample):
         return -float(np.median(margins)) if len(margins) else -math.inf
 
     def place(self, x: np.ndarray) -> None:
-        """Put quick units into the tails that decide at a vector."""
-        if not (self.problem.effort.tails and self.units.parts):
-            return
-        values, found = self.values(x), list[Centres]()
-        for k, row in enumerate(self.rows):
-            if not row.share:
-                continue
-            margins, outward = self.margins(k, values)
-            seen = self.quantile(k, margins)
-            units = seen.units[np.argsort(-seen.weights, kind="stable")][:PULLED]
-            if not len(units) or not math.isfinite(seen.level):
-                continue
-            pulled = {name: pull[units] for name, pull in outward.items()}
-            z = self.tails.z[:, units]
-            slopes = self.units.slopes_to_z(self.decisions.population(x), z, pulled)
-            near = np.abs(margins[units] - seen.level)
-            weights = self.tails.weights[units] / (near + np.median(near) + 1e-300)
-            least = -float(special.ndtri(max(self.rejects[k], 1e-12)))
-            placed = centres_of(z, slopes, weights, max(least, 0.25))
-            found += [placed] if len(placed.places) else []
-        if found:
-            self.tails = TailSample(self.plain, self.problem.seed, Centres.joined(found))
+        """Put units into the tails that decide at a vector; a sample that grows has none there."""
 
     def spare(self, look: Look | None) -> None:
-        """Solve few costly units of responses whose limits do not decide at a look; None: all units of all."""
+        """Solve few units of responses whose limits do not decide at a look; None: all units of all."""
         self.aside, self._near = frozenset() if look is None else self.far(look), None
 
     def far(self, look: Look) -> frozenset[str]:
-        """Costly responses whose limits do not decide at a look; none where all decide together.
+        """Responses whose limits do not decide at a look; none where all decide together.
 
         Args:
             look: of the search.
         """
-        if self.problem.effort.tails or self.problem.joint_target is not None:
+        if self.problem.joint_target is not None:
             return frozenset()
         inside = {row.name for row, used in zip(self.rows, look.used) if row.share and used <= DECIDES}
         return frozenset(inside - set(self.problem.losses))
 
     @property
     def by_quantiles(self) -> bool:
-        """True if costly units matter for quantiles alone, so that those near them are enough."""
+        """True if units matter for quantiles alone, so that those near them are enough."""
         alone = all(row.share or row.nominal or row.exact for row in self.rows)
-        return alone and not (self.problem.effort.tails or self.problem.losses)
+        return alone and not self.problem.losses
 
     def limits(self, names: Collection[str] | None = None) -> list[Limited]:
         """Limits on shares, which decide what units are near.
@@ -219,25 +214,6 @@ class Constraints(WholeSample):
         for (k, _, _), first, last in zip(pulls, ends[:-1], ends[1:]):
             yield found[:, first:last] / self.ways[k]
 
-    def nominal(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
-        """Used ways (c,) of limits without errors, their derivatives (c, n), priced outputs and their derivatives."""
-        decisions, outward = self.decisions, np.zeros((len(self.rows), self.decisions.size))
-        outputs, rates = nominal_outputs(self.problem.response, decisions.population(x), self._outputs)
-        used = np.zeros(len(self.rows))
-        for k, row in enumerate(self.rows):
-            if row.nominal and row.item is not None:
-                value = outputs[row.name]
-                used[k] = 1 + float(row.item.margin(value)) / self.ways[k] if math.isfinite(value) else math.inf
-                used[k] += self.moved[k]
-                outward[k] = float(row.item.outward(np.array(value))) * decisions.by_number(rates[row.name])
-                outward[k] /= self.ways[k]
-        priced = sum(price * outputs[name] for name, price in self.problem.objective.items())
-        towards = sum(
-            (p * decisions.by_number(rates[name]) for name, p in self.problem.objective.items()),
-            np.zeros(decisions.size),
-        )
-        return used, outward, float(priced), towards
-
     def missed(self, look: Look) -> float:
         """Largest excess over a limit without sampling error."""
         over = [look.used[k] - self.moved[k] - 1 for k, row in enumerate(self.rows) if row.exact]
@@ -269,9 +245,16 @@ class Constraints(WholeSample):
             weights: (n,) of the units; None: those of the sample.
         """
         rejects = float(self.rejects[k]) if rejects is None else float(rejects)
-        near = len(margins) // _QUARTER if self.problem.effort.tails else PULLED
         weights = self.tails.weights[: len(margins)] if weights is None else weights
-        return quantile(margins, weights, rejects, float(self.ways[k]), near)
+        return quantile(margins, weights, rejects, float(self.ways[k]), self.behind(len(margins)))
+
+    def behind(self, count: int) -> int:
+        """Units behind a slope, at least.
+
+        Args:
+            count: units of the sample.
+        """
+        return PULLED
 
     def margins(self, k: int, values: Values) -> tuple[np.ndarray, Values]:
         """Margins (n,) of the units of a row on a share, and their derivatives (n,) to each response.
@@ -295,6 +278,58 @@ class Constraints(WholeSample):
             for i, (n, item) in enumerate(items.items())
         }
         return np.where(failed, np.inf, scaled.max(axis=0)), pulls
+
+
+class TailConstraints(Constraints):
+    """Constraints on one sample of many units, most of them in the tails that decide; all are solved at each vector."""
+
+    def counts(self, look: Look) -> list[int]:
+        """The same number twice: the units are placed twice."""
+        return [self.first] * 2
+
+    def place(self, x: np.ndarray) -> None:
+        """The same, of this sample: by the units behind each quantile and their derivatives."""
+        if not self.units.parts:
+            return
+        values, found = self.values(x), list[Centres]()
+        for k, row in enumerate(self.rows):
+            if not row.share:
+                continue
+            margins, outward = self.margins(k, values)
+            seen = self.quantile(k, margins)
+            units = seen.units[np.argsort(-seen.weights, kind="stable")][:PULLED]
+            if not len(units) or not math.isfinite(seen.level):
+                continue
+            pulled = {name: pull[units] for name, pull in outward.items()}
+            z = self.tails.z[:, units]
+            slopes = self.units.slopes_to_z(self.decisions.population(x), z, pulled)
+            near = np.abs(margins[units] - seen.level)
+            weights = self.tails.weights[units] / (near + np.median(near) + 1e-300)
+            least = -float(special.ndtri(max(self.rejects[k], 1e-12)))
+            placed = centres_of(z, slopes, weights, max(least, 0.25))
+            found += [placed] if len(placed.places) else []
+        if found:
+            self.tails = TailSample(self.plain, self.problem.seed, Centres.joined(found))
+
+    def far(self, look: Look) -> frozenset[str]:
+        """None: few units would be another sample, with other weights."""
+        return frozenset()
+
+    @property
+    def by_quantiles(self) -> bool:
+        """False: all units are solved."""
+        return False
+
+    def behind(self, count: int) -> int:
+        """A part of the units."""
+        return count // _PART
+
+
+def constraints_of(problem: Problem) -> Constraints:
+    """Constraints of a problem, on the sample for the time of its units."""
+    if not problem.effort.tails:
+        return Constraints(problem, FEW)
+    return TailConstraints(problem, QUICK * 2 ** math.ceil(math.log2(max(problem.decisions.size / _FIELDS, 1))))
 
 
 def _size(item: Limits) -> float:

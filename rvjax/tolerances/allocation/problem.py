@@ -38,16 +38,16 @@ SPARE = 0.3
 FEW = 512
 """Costly units of the first look, and of a part of the response that does not decide."""
 
-_FIELDS = 60  # decisions that `QUICK` units are enough for: more learn the sample by heart
-
 
 @dataclasses.dataclass(frozen=True)
 class Effort:
     """Looks and units of a search, and the accuracy at which it ends, for units of some time.
 
     Attributes:
-        first: units of the first look; None: those of the problem.
         tails: True if all looks are at one sample in the tails, False if samples grow.
+        middles: whether mid-points have several starts without numbers of the design too.
+        rays: units of looks along rays, where derivatives mislead; 0: there are none.
+        intervals: whether prices have intervals, by the sampling error of the units.
         gain: promised gain, as a part of the cost, below which a search ends.
         box: in logarithms of half-widths, below which a search ends.
         worth: gain, as a part of the cost, for which another certificate is computed.
@@ -55,13 +55,16 @@ class Effort:
         expected: rejects in a certificate, below which a probability of failure is more accurate.
         sloped: units behind the slope of a statistic.
         of_yields: units of a look for the cost curve, and of its certificates.
+        of_ranges: units of a look for a range; None: those of the search.
         trials: searches for one end of a range, at most.
         looks: of each of these, at most.
         roughly: as `gain`, of these.
     """
 
-    first: int | None
     tails: bool
+    middles: bool
+    rays: int
+    intervals: bool
     gain: float
     box: float
     worth: float
@@ -69,20 +72,21 @@ class Effort:
     expected: int
     sloped: int | None
     of_yields: tuple[int | None, int]
+    of_ranges: int | None
     trials: int
     looks: int
     roughly: float
 
 
 OF_QUICK = Effort(
-    first=None, tails=True, gain=1e-5, box=1e-3, worth=1e-3, rivals=3, expected=200, sloped=None,
-    of_yields=(None, KEPT), trials=4, looks=12, roughly=2e-4,
+    tails=True, middles=True, rays=2 * QUICK, intervals=False, gain=1e-5, box=1e-3, worth=1e-3, rivals=3, expected=200,
+    sloped=None, of_yields=(None, KEPT), of_ranges=None, trials=4, looks=12, roughly=2e-4,
 )  # fmt: skip
-"""Of units that take microseconds."""
+"""Of units that take microseconds. Along rays twice the units of a sample, because these are not in the tails."""
 
 OF_COSTLY = Effort(
-    first=FEW, tails=False, gain=2e-4, box=1e-2, worth=3e-3, rivals=2, expected=0, sloped=1024,
-    of_yields=STAGES, trials=2, looks=4, roughly=5e-3,
+    tails=False, middles=False, rays=0, intervals=True, gain=2e-4, box=1e-2, worth=3e-3, rivals=2, expected=0,
+    sloped=1024, of_yields=STAGES, of_ranges=FEW, trials=2, looks=4, roughly=5e-3,
 )  # fmt: skip
 """Of units that take a millisecond."""
 
@@ -134,12 +138,6 @@ class Problem:
     def effort(self) -> Effort:
         """Looks, units and accuracy of a search, for the time of one unit."""
         return OF_COSTLY if is_costly(self.response) else OF_QUICK
-
-    @property
-    def sample(self) -> int:
-        """Units to begin with."""
-        many = 2 ** math.ceil(math.log2(max(self.decisions.size / _FIELDS, 1)))
-        return QUICK * many if self.effort.tails else min(self.samples, QUICK)
 
     def cushioned(self, item: Limits, values: np.ndarray) -> float:
         """Distance inside its limit that a certificate needs of a statistic of units (n,)."""

@@ -264,8 +264,8 @@ def ranges(constraints: Constraints, programme: Programme, end: End) -> dict[str
         end: of the search.
     """
     decisions, effort = constraints.decisions, constraints.problem.effort
-    if effort.first:
-        constraints.sample(effort.first)
+    if effort.of_ranges:
+        constraints.sample(effort.of_ranges)
     low, high = programme.low, programme.high
 
     def solved(start: End, k: int | None = None, at: float = 0.0) -> End:

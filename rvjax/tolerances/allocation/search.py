@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from rvjax.tolerances.allocation.certificate import TESTS, Certifier, rejects_at_limits
-from rvjax.tolerances.allocation.constraints import Constraints
+from rvjax.tolerances.allocation.constraints import constraints_of
 from rvjax.tolerances.allocation.cost import expected_losses
 from rvjax.tolerances.allocation.decisions import ROUNDING, Decisions, Lists, Places
-from rvjax.tolerances.allocation.look import DECIDES, FAILED, Look
-from rvjax.tolerances.allocation.problem import FEW, QUICK, STAGES, Problem
+from rvjax.tolerances.allocation.look import FAILED, Look
+from rvjax.tolerances.allocation.problem import Problem
 from rvjax.tolerances.allocation.programme import AGAIN, COARSE, LOOKS, MET, RADIUS, STATIONARY, End, Programme
 from rvjax.tolerances.allocation.rays import Rays
 from rvjax.tolerances.allocation.result import Allocation, bounds_active, intervals, margins_of, prices_of, value_prices
@@ -20,12 +20,9 @@ from rvjax.tolerances.batch.statistics import Statistics
 DEARER = 0.2
 """Part of the learned cost by which a certified one may exceed it and still be called the cheapest."""
 
-_BEYOND = 40  # units of the last sample beyond each limit that decides
-_MOST = 16_384  # costly units of a sample, at most
 _WHOLE = 3  # certificates of all units, after which a miss is a result
 _MORE, _TIMES = 0.02, 4  # part of the cost that more certificate units must save, and how many more at most
 _CHANGED = 0.03  # logarithm of wanted rejects, by which a search along rays is repeated
-_RAYS = 2  # times as many units of a sample that is looked at along rays, which are not in the tails
 _STARTS = 6  # for one number; one more for each further one
 _APART = 0.05  # of the vector: nearer ends are one
 _DEARER = 0.03  # than the cheapest end, beyond which another one is no rival
@@ -37,7 +34,7 @@ class Search:
 
     def __init__(self, problem: Problem) -> None:
         self.problem, self.decisions = problem, problem.decisions
-        self.constraints = Constraints(problem, self.decisions)
+        self.constraints = constraints_of(problem)
         self.programme = Programme(self.constraints, self._noted)
         self.certifier = Certifier(problem)
         self.history: list[dict[str, Any]] = []
@@ -57,11 +54,11 @@ class Search:
         constraints.begin(start)
         lists, programme = Lists(decisions), self.programme
         low, high = programme.low, programme.high = lists.relaxed(decisions.low, decisions.high)
-        several = starts(decisions, start, low, high) if decisions.free or effort.tails else [start]
+        several = starts(decisions, start, low, high) if decisions.free or effort.middles else [start]
         ends = [self.run(x, RADIUS, most=LOOKS if len(several) > 1 else None) for x in several]
         self.tried = tried(decisions, several, ends, constraints.count) if len(several) > 1 else []
         near = rivals(ends, len(decisions.fields), effort.rivals)
-        *growing, last = self._counts(near[0].look) or [constraints.count]
+        *growing, last = constraints.counts(near[0].look) or [constraints.count]
         for count in (*growing, last):
             if growing and count == last:  # fewer looks at the largest sample
                 near = [self._enough(near[0])]
@@ -69,7 +66,7 @@ class Search:
             self._last = count == last
             near = sorted((self.run(end.look.x) for end in near), key=self._worth)[:1]
         end = self._listed(lists, near[0].look.x) if lists.entries else near[0]
-        return self._along_rays(end, start) if effort.tails and self._misled(end) else end
+        return self._along_rays(end, start) if effort.rays and self._misled(end) else end
 
     def _inside(self, start: np.ndarray) -> np.ndarray:
         """The start, or finer half-widths where so many units fail that a quantile is left nowhere."""
@@ -80,16 +77,6 @@ class Search:
             x = start.copy()
             x[:count] += part * (self.decisions.low[:count] - start[:count])
         return x
-
-    def _counts(self, look: Look) -> list[int]:
-        """Units of the samples to come."""
-        if self.problem.effort.tails:
-            return [self.problem.sample] * 2  # in the tails, placed twice
-        near = [1 - getattr(r.item, "target", self.problem.joint_target or 0.0)
-                for k, r in enumerate(self.constraints.rows) if r.share and look.used[k] > DECIDES]  # fmt: skip
-        wanted = 2 ** math.ceil(math.log2(_BEYOND / min(near, default=1.0)))
-        last = min(max(wanted, self.problem.sample, FEW), _MOST)
-        return [*(count for count in STAGES if count < last), last] if last > FEW else []
 
     def _grow(self, count: int, look: Look) -> None:
         self.constraints.spare(look)
@@ -150,7 +137,7 @@ class Search:
 
     def _along_rays(self, end: End, start: np.ndarray) -> End:
         """The best end by looks along rays, from the end of another search, the start and the finest half-widths."""
-        self.constraints.sample(_RAYS * QUICK)
+        self.constraints.sample(self.problem.effort.rays)
         self.rays, count = Rays(self.constraints), len(self.decisions.fields)
         finest = np.concatenate([self.decisions.low[:count], end.look.x[count:]])
         ends = [self.run(x, RADIUS) for x in (end.look.x, start, finest)]
@@ -251,7 +238,7 @@ class Search:
         return dataclasses.replace(
             found, residual=end.residual, margins=reached, margin_slopes=slopes,
             multipliers=found.multipliers | {n: -price for n, price in prices.items()},
-            multiplier_intervals=intervals(self.programme, end, confidence) if not self.problem.effort.tails else {},
+            multiplier_intervals=intervals(self.programme, end, confidence) if self.problem.effort.intervals else {},
             value_prices=value_prices(self.decisions, end),
         )  # fmt: skip
 

@@ -89,16 +89,37 @@ def _linearised(
 
 
 class WholeSample:
-    """Used ways and losses of a problem that all units of a sample decide together."""
+    """Used ways and losses of a problem that all units of a sample decide together, or the unit without errors."""
 
     problem: Problem
     decisions: Decisions
     rows: list[Row]
     ways: np.ndarray  # (c,), by which excesses are divided
+    moved: np.ndarray  # (c,), corrections of the used ways
     plain: np.ndarray  # standard normal numbers of the units (numbers, units)
     units: Units
     names: tuple[str, ...]  # of the responses
+    outputs: tuple[str, ...]  # without errors
     most_failed: float | None  # share of units that may fail
+
+    def nominal(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
+        """Used ways (c,) of limits without errors, their derivatives (c, n), priced outputs and their derivatives."""
+        decisions, outward = self.decisions, np.zeros((len(self.rows), self.decisions.size))
+        outputs, rates = nominal_outputs(self.problem.response, decisions.population(x), self.outputs)
+        used = np.zeros(len(self.rows))
+        for k, row in enumerate(self.rows):
+            if row.nominal and row.item is not None:
+                value = outputs[row.name]
+                used[k] = 1 + float(row.item.margin(value)) / self.ways[k] if math.isfinite(value) else math.inf
+                used[k] += self.moved[k]
+                outward[k] = float(row.item.outward(np.array(value))) * decisions.by_number(rates[row.name])
+                outward[k] /= self.ways[k]
+        priced = sum(price * outputs[name] for name, price in self.problem.objective.items())
+        towards = sum(
+            (p * decisions.by_number(rates[name]) for name, p in self.problem.objective.items()),
+            np.zeros(decisions.size),
+        )
+        return used, outward, float(priced), towards
 
     def statistic(self, k: int, x: np.ndarray, *, sloped: bool) -> tuple[float, np.ndarray]:
         """Used way and its derivatives (n,) of a statistic of all units; units that fail have no slope.
