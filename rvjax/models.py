@@ -60,10 +60,9 @@ class Kind:
         read = {f.name for name in outputs for f in dataclasses.fields(self.described[name].conditions)}
         return [f.name for f in dataclasses.fields(self.conditions) if f.name in read]
 
-    def costly(self, name: str) -> bool:
-        """True if a unit of an output takes so long that only the units that decide are solved."""
-        own = self.outputs[name].costly
-        return self.described[name].costly if own is None else own
+    def costly(self, outputs: Iterable[str]) -> bool:
+        """True if one of these takes equilibria: a unit takes so long that only the units that decide are solved."""
+        return any(self.described[name].work and name not in self.described[name].quick for name in outputs)
 
     def compiler_options(self, outputs: Iterable[str]) -> tuple[tuple[str, bool | int], ...]:
         """Compiler options of a program of some outputs: the options of all their models."""

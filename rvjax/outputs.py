@@ -152,7 +152,6 @@ class Output:
         refuse: (design, conditions) -> None; raises ValueError, one line that names the key, where these conditions
             cannot give it.
         exact: output of a costlier model that is the same quantity of the whole reducer, or None.
-        costly: as in `Description`; None: as its model.
         least: smallest value of known reducers, SI; a study is warned of a limit far below it. 0 for none.
     """
 
@@ -165,7 +164,6 @@ class Output:
     rejects: str = ""
     refuse: Callable[[Any, Any], None] | None = None
     exact: str | None = None
-    costly: bool | None = None
     least: float = 0.0
 
     @property
@@ -339,11 +337,11 @@ class Description:
         unknown: what the model leaves out, one line for a person who reads its results.
         observations: what a bench can measure of it.
         compiler_options: of programs that compute an output of it, such as `rvjax._jax.programs.QUICK`.
-        costly: whether a unit takes so long that an allocation solves only the units that decide.
         parts: optional parts of a design that no other model reads.
         joints: results, its own and those of models above it, that are cheaper computed together.
         usual: usual limits by output, also those of outputs of models above it.
         work: equilibria that a result of it takes; their measured times are in `rvjax.levels`.
+        quick: outputs of a model with such work that take none, but microseconds.
     """
 
     name: str
@@ -355,11 +353,11 @@ class Description:
     unknown: str = ""
     observations: tuple[Observation, ...] = ()
     compiler_options: tuple[tuple[str, bool | int], ...] = ()
-    costly: bool = False
     parts: tuple[str, ...] = ()
     joints: tuple[Joint, ...] = ()
     usual: Mapping[str, Usual] = dataclasses.field(default_factory=dict)
     work: Mapping[Source, Work] = dataclasses.field(default_factory=dict)
+    quick: tuple[str, ...] = ()
 
     @property
     def designs(self) -> tuple[type, ...]:

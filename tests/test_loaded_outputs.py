@@ -30,7 +30,7 @@ GIVEN = KIND.conditions(
 TURN = 2 * np.pi * DESIGN.ratio / 40
 ALONG = TURN * np.arange(24) / 24
 OWN = tuple(name for name in KIND.outputs if KIND.described[name].conditions is loaded.outputs.LoadedConditions)
-ALL = tuple(name for name in OWN if KIND.outputs[name].costly is not False)  # those that solve equilibria
+ALL = tuple(name for name in OWN if KIND.costly((name,)))  # those that solve equilibria
 
 
 BENCH = 0.4 + TURN * np.arange(3) / 3

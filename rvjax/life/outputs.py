@@ -274,7 +274,6 @@ DESCRIPTION = Description(
     cases=cases,
     unknown=UNKNOWN,
     compiler_options=QUICK,
-    costly=True,
     parts=("bearings",),
     joints=(Joint((turn, rated), turned_and_rated),),
     usual={

@@ -245,7 +245,7 @@ DESCRIPTION = Description(
         "flank_clearance": Output(
             "m", "least clearance of flanks and pins over the span, discs turned to where it is largest", _clearance,
             below_zero="interference, at least two pins are pressed at any rotation of the discs",
-            refuse=lambda design, _: check_teeth(design.cycloid), costly=False,
+            refuse=lambda design, _: check_teeth(design.cycloid),
         )
     },
     curve=Curve(
@@ -256,8 +256,7 @@ DESCRIPTION = Description(
     observations=(CURVE, LOOP),
     unknown="friction, inertia, tilting; pin_position, disc_runout and disc_cumulative_pitch (largest errors without "
     "direction: give pin_offset, disc_centre and disc_pitch)",
-    compiler_options=QUICK,
-    costly=True,
+    compiler_options=QUICK, quick=("flank_clearance",),
     usual={
         "turn_pin_pressure": Usual(
             lambda design: (-np.inf, PRESSURE), "static safety 2: 4000 MPa dents hardened rollers (ISO 76)"
@@ -295,11 +294,11 @@ OTHERS = (
             "fit_clearance": Output(
                 "m", "least clearance of pins and holes over the span, discs and carrier turned to where it is largest",
                 Reading((_fit,), number_of("least")), below_zero="interference, the drive jams or is preloaded",
-                rejects="jam", costly=False,
+                rejects="jam",
             )
         },
         cases=None,
-        work={**DESCRIPTION.work, _fit: lambda given: ("fit", given.samples)},
+        work={**DESCRIPTION.work, _fit: lambda given: ("fit", given.samples)}, quick=("fit_clearance",),
         observations=(replace(CURVE, head=None), LOOP),  # the deformation that a head reads is that of an RV reducer
         unknown="friction, tilting, inertia, twist of the shaft, creep and heat of polymers; bearings have one "
         "stiffness, where that of balls grows with the load; forces for clearances above eccentricity/25",

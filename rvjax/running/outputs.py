@@ -271,7 +271,6 @@ DESCRIPTION = Description(
     },
     unknown=UNKNOWN,
     compiler_options=QUICK,
-    costly=True,
     parts=("friction", "bearings"),
     joints=tuple(
         Joint(sources, partial(together, sources))

@@ -198,7 +198,7 @@ def _conditions(
     read = set(kind.conditions_of(outputs)) if outputs or identification else set(fields)  # of a design alone
     if getattr(design, "friction", None) is not None:
         read |= set(OF_JOINT)  # `rvjax export`
-    if any(map(kind.costly, outputs)):  # a loaded study lists what it does not limit
+    if kind.costly(outputs):  # a loaded study lists what it does not limit
         read |= set(kind.conditions_of(tuple(kind.usual)))
     if identification:
         read |= {f.name for f in dataclasses.fields(kind.observed[identification.model].conditions)}

@@ -110,7 +110,7 @@ class Response(Record):
     @property
     def costly(self) -> bool:
         """True if a unit is so expensive that only the decisive units are solved."""
-        return any(models.kind(self.design).costly(source) for source in self._sources().values())
+        return models.kind(self.design).costly(self._sources().values())
 
     def parts(self) -> list[Self]:
         """Outputs in groups that share no result, each as a separate response, one with the curve."""
@@ -138,9 +138,8 @@ class Response(Record):
         """Results, each with its level, that an output shares with others."""
         evaluate = models.kind(self.design).outputs[self._sources()[name]].evaluate
         level = next((level[1:] for level in self.levels if level[0] == name), None)
-        return (
-            {(level, source) for source in evaluate.read(self.conditions)} if isinstance(evaluate, Reading) else set()
-        )
+        read = evaluate.read(self.conditions) if isinstance(evaluate, Reading) else ()
+        return {(level, source) for source in read}
 
     def _joints(self) -> list[Joint]:
         """Results without a level that are computed together, of overlapping ways the largest."""

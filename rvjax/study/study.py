@@ -164,11 +164,10 @@ class Study:
     @property
     def further(self) -> tuple[str, ...]:
         """Usual outputs of such a reducer that the study does not limit, and that its numbers allow."""
-        return tuple(
-            name for name in kind_of(self.design).usual if name not in self.requirements and self._allows(name)
-        )
+        return tuple(name for name in kind_of(self.design).usual if name not in self.requirements and self.allows(name))
 
-    def _allows(self, name: str) -> bool:
+    def allows(self, name: str) -> bool:
+        """True if design and conditions allow an output."""
         try:
             Response.of(self.design, (name,), self.conditions)
         except ValueError:

@@ -73,14 +73,9 @@ class Unlimited:
 def not_limited(study: Study) -> Response | None:
     """Outputs with a usual limit that a loaded study does not limit, as far as its design and conditions allow them."""
     usual = models.kind(study.design).usual if study.costly else {}
-    names = []
-    for name in (name for name, limit in usual.items() if name not in study.requirements):
-        try:
-            Response.of(study.design, (name,), study.conditions)
-        except ValueError:
-            continue
-        names += [name] if usual[name].limits(study.design) else []
-    return Response.of(study.design, tuple(names), study.conditions) if names else None
+    names = [name for name in usual if name not in study.requirements and study.allows(name)]
+    names = [name for name in names if usual[name].limits(study.design)]
+    return Response.of(study.design, names, study.conditions) if names else None
 
 
 def unlimited(study: Study, tolerances: object) -> dict[str, Unlimited]:
@@ -148,8 +143,7 @@ class Whole:
 def counterparts(study: Study) -> dict[str, str]:
     """Outputs of the whole reducer or turn, by requirement; empty where there is none or the design lacks parts."""
     if study.costly:
-        spans = {name: span for name, span in study.spans.items() if study.requirements[name].limits_values}
-        return {name: name for name, span in spans.items() if span != WHOLE}
+        return {n: n for n, span in study.spans.items() if span != WHOLE and study.requirements[n].limits_values}
     design, outputs = study.design, models.kind(study.design).outputs
     found = {n: outputs[n].exact or n for n, item in study.requirements.items() if item.limits_values}
     lacks = any(getattr(design, part, None) is None for part in ("stiffness", "contact"))
@@ -168,8 +162,8 @@ def whole(study: Study, tolerances: object) -> Whole | None:
     outputs = counterparts(study)
     if not outputs:
         return None
-    given = study.conditions
-    if study.costly:
+    given, turned = study.conditions, all(name == output for name, output in outputs.items())
+    if turned:  # its outputs over a whole turn
         conditions = over_a_turn(study.design, given, next(iter(outputs)))
         conditions = dataclasses.replace(conditions, samples=min(conditions.samples, TURN_ANGLES))
     else:
@@ -189,8 +183,8 @@ def whole(study: Study, tolerances: object) -> Whole | None:
         output=outputs,
         failed=int((~solved).sum()),
         unread=tuple(name for name in Population.of(tolerances).active if name in described(tolerances, "bounds")),
-        angles=conditions.samples if study.costly else 0,
-        beyond=_beyond(study, margins) if study.costly else {},
+        angles=conditions.samples if turned else 0,
+        beyond=_beyond(study, margins) if turned else {},
     )
 
 
