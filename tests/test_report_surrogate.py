@@ -11,7 +11,7 @@ from live_study import FEW
 
 import rvjax
 from rvjax import tolerances
-from rvjax.commands.forecast import SHOWN_VALUES
+from rvjax.commands.forecast import OF_COSTLY, SHOWN_VALUES
 from rvjax.commands.report import region, response_surface, sliders
 from rvjax.response import derivatives
 from rvjax.response.response import BLOCK
@@ -175,7 +175,7 @@ costly_linear.costly = costly_bent.costly = True  # type: ignore[attr-defined]
 
 def test_a_costly_linear_response_is_met_by_the_derivatives_alone():
     found = response_surface.surrogate(made(costly_linear, 14e-6), **FEW)
-    assert len(found.weights) == response_surface.COSTLY_UNITS and found.compared == "own"
+    assert len(found.weights) == OF_COSTLY.surrogate and found.compared == "own"
     assert set(found.columns["y"]) == {(k,) for k in range(6)}
     values = direct(found, linear)
     np.testing.assert_allclose(found.values("y", X), values, atol=1e-9 * np.abs(values).max())
@@ -192,7 +192,7 @@ def test_costly_units_are_solved_once_for_all_outputs(monkeypatch):
     given = made(both, 6.0, z=14e-6)
     solved.clear()
     found = response_surface.surrogate(given, **FEW)
-    assert solved == [response_surface.COSTLY_UNITS] * (2 + region.PLACES) + [response_surface.COMPARED] * FEW["points"]
+    assert solved == [OF_COSTLY.surrogate] * (2 + region.PLACES) + [response_surface.COMPARED] * FEW["points"]
     alone = response_surface.surrogate(made(costly_linear, 14e-6), **FEW)
     for k, parameter in enumerate(found.parameters):
         if parameter.place:  # the derivatives of two outputs stay apart

@@ -2,7 +2,7 @@
 
 import dataclasses
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from rvjax import levels, study as studies
@@ -11,7 +11,7 @@ from rvjax.commands import say, share_cores
 from rvjax.commands.cells import against_limit
 from rvjax.levels import Choice
 from rvjax.population import grows_from_lower
-from rvjax.response import BLOCK
+from rvjax.response import BLOCK, Response, is_costly
 from rvjax.status import MEANING, SUCCESS, Status
 from rvjax.study import Study, scalars
 from rvjax.tolerances import COSTLY_UNITS, KEPT, QUICK, units_of
@@ -118,7 +118,66 @@ PASSES = 60  # of a search and its cost curve over its sample: 30 to 90
 CERTIFICATES = {True: 6, False: 4}  # with a mid-point: 3 of a million units, 12 of 8,000
 PASSES_A_POINT = 6  # of the cost curve
 COSTLY_PASSES, COSTLY_CERTIFICATES, COSTLY_POINT = {True: 7, False: 3}, 3, 6000
-COMPILING = "20 s for an RV-40E, 45 s", "30 s for a loaded RV-40E, 60 s"
+
+
+@dataclasses.dataclass(frozen=True)
+class Effort:
+    """Extent of the computations of commands, for units of some time.
+
+    Attributes:
+        units: (study) -> units that an allocation solves, by phase; of `SAMPLING` those of influences.
+        compiling: time of tracing and compilation, in words.
+        shared: whether all cores, or another device, share the units.
+        before: units of the given tolerances, at most; None: those of the certificate.
+        sliders: whether a page has them without an option.
+        surrogate: units of the surrogate behind them, some of which are compared; None: usual ones, and fresh units.
+        front: usual points of a trade front.
+        plan: responses at most to plan an assembly, as `assembly.plan` names them.
+    """
+
+    units: Callable[[Study], dict[str, float]]
+    compiling: str
+    shared: bool = False
+    before: int | None = None
+    sliders: bool = True
+    surrogate: int | None = None
+    front: int = 4
+    plan: Mapping[str, int] = dataclasses.field(default_factory=dict)
+
+
+def _quick_units(study: Study) -> dict[str, float]:
+    drawn = study.certificate_samples
+    return {
+        SEARCHING: PASSES * QUICK + CERTIFICATES[bool(study.middles)] * units_of(study.requirements, drawn),
+        CERTIFYING: drawn,
+        SAMPLING: 0,
+        PRICING: len(targets(study)) * (PASSES_A_POINT * study.samples + shown_values(study)),
+    }
+
+
+def _costly_units(study: Study) -> dict[str, float]:
+    drawn = study.certificate_samples
+    return {
+        SEARCHING: COSTLY_PASSES[bool(study.middles)] * study.samples + COSTLY_CERTIFICATES * drawn,
+        CERTIFYING: min(drawn, QUICK),
+        SAMPLING: COSTLY_UNITS * (1 + len(study.fields)),
+        PRICING: len(targets(study)) * COSTLY_POINT,
+    }
+
+
+OF_QUICK = Effort(_quick_units, "20 s for an RV-40E, 45 s")
+"""Of units that take microseconds."""
+
+OF_COSTLY = Effort(
+    _costly_units, "30 s for a loaded RV-40E, 60 s", shared=True, before=4096, sliders=False, surrogate=768, front=0,
+    plan={"most_valued": 2**18, "most_fresh": 2**14},
+)  # fmt: skip
+"""Of units that take a millisecond. A surrogate takes three calls of the gradients' program."""
+
+
+def effort_of(computed: Study | Response) -> Effort:
+    """Extent of the computations for a study, or for a response."""
+    return OF_COSTLY if is_costly(computed) else OF_QUICK
 
 
 def read_study(source: str) -> Study:
@@ -128,29 +187,15 @@ def read_study(source: str) -> Study:
         source: path, or name of an embedded study.
     """
     found = studies.load(source, solve=False)
-    if found.costly:
+    if effort_of(found).shared:
         share_cores(1)
     return found
 
 
 def solved_units(study: Study) -> dict[str, int]:
     """Estimate the number of solved units in each phase of a run, in their order."""
-    middles, drawn, points = bool(study.middles), study.certificate_samples, len(targets(study))
-    shown = 2 * SHOWN_VALUES if drawn > KEPT else 0
-    if study.costly:
-        found = {
-            SEARCHING: COSTLY_PASSES[middles] * study.samples + COSTLY_CERTIFICATES * drawn,
-            CERTIFYING: min(drawn, QUICK),
-            SAMPLING: COSTLY_UNITS * (1 + len(study.fields)) + shown,
-            PRICING: points * COSTLY_POINT,
-        }
-    else:
-        found = {
-            SEARCHING: PASSES * QUICK + CERTIFICATES[middles] * units_of(study.requirements, drawn),
-            CERTIFYING: drawn,
-            SAMPLING: shown,
-            PRICING: points * (PASSES_A_POINT * study.samples + shown_values(study)),
-        }
+    found = effort_of(study).units(study)
+    found[SAMPLING] += 2 * SHOWN_VALUES if study.certificate_samples > KEPT else 0
     return {phase: int(units) for phase, units in found.items()}
 
 
@@ -167,8 +212,8 @@ def shown_values(study: Study) -> int:
 
 
 def seconds_of_units(study: Study) -> float | None:
-    """Seconds of two cores that the units of an allocation take, if they are costly; 0 for others, None if unknown."""
-    unit = unit_seconds(study) if study.costly else 0.0
+    """Seconds of two cores that the units of an allocation take, if devices share them; else 0, None if unknown."""
+    unit = unit_seconds(study) if effort_of(study).shared else 0.0
     return unit and unit * sum(solved_units(study).values())
 
 
@@ -179,6 +224,6 @@ def expected(study: Study) -> str:
         return "time: unknown, these levels are not measured"
     return (
         f"time: about {spelled(unit * sum(solved_units(study).values()))} of computation on the two cores of the "
-        f"measured table, besides tracing and compilation ({COMPILING[study.costly]} at the first run); "
+        f"measured table, besides tracing and compilation ({effort_of(study).compiling} at the first run); "
         f"chunks of {BLOCK:,} units, memory does not grow with their number"
     )

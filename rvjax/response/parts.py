@@ -159,7 +159,7 @@ class Evaluator:
                 solved. Its programs are those of an allocation, if one was run before.
         """
         self._response, self._population, self._key = response, population, root_key(seed)
-        own = parts(response, population) if is_costly(response) else []
+        own = [part for part in parts(response, population) if part.keeps]
         self._parts = [part for part in own if names is None or set(part.names) & set(names)]
         self._points = SobolPoints(population.numbers, seed) if method == "sobol" else None
         devices = units_devices()

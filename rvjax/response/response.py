@@ -219,8 +219,8 @@ def _named(result: object) -> dict[str, PyTree]:
     return dict(result)
 
 
-def is_costly(response: Response) -> bool:
-    """True if a unit is so expensive that only the units that decide are solved."""
+def is_costly(response: object) -> bool:
+    """True if a unit of a response, or of a study, is so expensive that only the units that decide are solved."""
     return bool(getattr(response, "costly", False))
 
 

@@ -14,6 +14,7 @@ import rvjax
 from rvjax import tolerances
 from rvjax.base.files import versions
 from rvjax.base.progress import begin, progress_bar
+from rvjax.commands import forecast
 from rvjax.commands.allocate.full_model_check import Unlimited, Whole, unlimited, whole
 from rvjax.commands.budget.effects import curves_of
 from rvjax.commands.forecast import CERTIFYING, PRICING, SAMPLING, SEARCHING, doubts_of_unit, shown_values, targets
@@ -47,7 +48,6 @@ from rvjax.tolerances import (
 _Curves = Callable[[PyTree, int], tuple[np.ndarray, np.ndarray]]
 
 SHOWN_UNITS = 24  # units with a plotted curve
-BEFORE = 4096  # costly units of the given tolerances, at most
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ def answer(
     begin(CERTIFYING)
     before = Run(
         response, population, response_names(response, population), study.requirements,
-        min(certificate.samples, BEFORE) if response.costly else certificate.samples,
+        min(certificate.samples, forecast.effort_of(study).before or certificate.samples),
         certificate.seed, min(study.samples, BLOCK) if certificate.samples < BLOCK else BLOCK,
         keep=certificate.values is not None, progress=progress, memo=memo,
     ).statistics()  # fmt: skip
@@ -234,10 +234,8 @@ def _cost_curve(study: Study, found: Allocation) -> list[tuple[float, float]]:
     """Points (least yield of a requirement, cost), ascending, the allocation itself among them."""
     if not found.curve:
         return []
-    points, goals = (
-        list(found.curve),
-        {item.target for item in study.requirements.values() if isinstance(item, Requirement)},
-    )
+    points = list(found.curve)
+    goals = {item.target for item in study.requirements.values() if isinstance(item, Requirement)}
     if len(goals) == 1 and study.joint_target is None:  # the allocation is a point of the curve
         points.append((least_yield(found.certificate), found.cost))
     return sorted(points)

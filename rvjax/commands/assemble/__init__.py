@@ -63,8 +63,6 @@ class AssembleInputs(commands.Inputs):
         self.phases = (commands.READING, MATCHING, *([PRICING] if self.prices else []), commands.WRITING)
 
 
-COSTLY = {"most_valued": 2**18, "most_fresh": 2**14}
-"""Responses at most of a response whose units are expensive: to choose, and to value the plan."""
 MATCHING, PRICING = "which part goes with which", "prices of tolerances"
 
 
@@ -108,7 +106,7 @@ def compute(inputs: AssembleInputs) -> Assembled:
             certificate_draws=how.certificate_draws,
             seed=study.seed,
             keep_best=True,
-            **(COSTLY if parts.costly else {}),
+            **parts.most,
         )
     if plan.status == "INFEASIBLE":
         study.check_nominal()  # the message is clearer if this unit fails too

@@ -5,7 +5,7 @@ Tighter tolerances or matching, which is cheaper: the cheapest tolerances for ra
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import jax
@@ -26,6 +26,7 @@ from rvjax.assembly import (
 )
 from rvjax.base.fields import value_text
 from rvjax.commands.assemble.parts import REST, Row, kind_of_rows, rows_of, slots_of, table_of
+from rvjax.commands.forecast import effort_of
 from rvjax.records import PyTree
 from rvjax.render import TEXT, Number, Share, Table, Text
 from rvjax.study import KINDS, Study, StudyError, kind_of
@@ -43,7 +44,7 @@ class Bench:
         kinds: parts by slot.
         name: of the response.
         requirement: on it.
-        costly: a unit is so expensive that only those are solved that can enter the plan.
+        most: responses at most to choose, and to value the plan, as `plan` names them.
         unusual: a line for each part far beyond its limits or its lot, the furthest of each kind first.
         notes: how the file was read.
     """
@@ -52,7 +53,7 @@ class Bench:
     kinds: dict[str, Kind]
     name: str
     requirement: Requirement
-    costly: bool = False
+    most: Mapping[str, int] = dataclasses.field(default_factory=dict)
     unusual: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -121,8 +122,8 @@ def bench(study: Study, path: str | Path, *, encoding: str | None = None) -> Ben
     outcome = study.response_of(name)
     design = study.design
     return Bench(
-        lambda parts, index: outcome(unit_errors(design, parts, index)), kinds, name, requirement, outcome.costly,
-        tuple(unusual), tuple(notes),
+        lambda parts, index: outcome(unit_errors(design, parts, index)), kinds, name, requirement,
+        effort_of(outcome).plan, tuple(unusual), tuple(notes),
     )  # fmt: skip
 
 

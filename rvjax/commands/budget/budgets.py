@@ -249,7 +249,7 @@ FEWEST_REGRESSED = 768
 def budget_if_any(study: Study, tolerances: object = None) -> Budget | None:
     """The budget of a study with a torque and a response that has a curve along the output; None for another study.
 
-    That of a costly curve is linear, and under the load of the study only.
+    That of a curve that outputs of equilibria read is linear, and under the load of the study only.
 
     Args:
         study: design, conditions and tolerances.
@@ -262,7 +262,7 @@ def budget_if_any(study: Study, tolerances: object = None) -> Budget | None:
 
 
 def linear_budget(study: Study, tolerances: object) -> Budget | None:
-    """Budget under the load of the study; None where no costly output reads the curve.
+    """Budget under the load of the study; None where no part of the response has the numbers of the curve.
 
     Args:
         study: design, conditions and requirements.
@@ -271,7 +271,7 @@ def linear_budget(study: Study, tolerances: object) -> Budget | None:
     curve = curve_of(study, None)
     response, population = study.response(), Population.of(tolerances)
     drawing = [part for part in parts(response, population) if getattr(part.response, "curve", False)]
-    if curve is None or curve is not study.curve or curve.turns is None or not (response.costly and drawing):
+    if curve is None or curve is not study.curve or curve.turns is None or not drawing:
         return None
     torque = torque_of(study.conditions)
     numbers = sum(int(np.prod(t.shape)) for t in population.active.values())

@@ -16,12 +16,12 @@ from rvjax.commands.compare import cost_of
 from rvjax.commands.design.optimum import JOINT, STEPS, TRADE, UNSCALED, Designed, Point, optima
 from rvjax.commands.design.prices import block, price_note, script, slope, unit_of_number
 from rvjax.commands.design.tables import headline, laws_of, numbers, others, requirements_of, saved_part, tolerances_of
-from rvjax.commands.forecast import forewarn, read_study
+from rvjax.commands.forecast import effort_of, forewarn, read_study
 from rvjax.population import sample
 from rvjax.render import Figure, Note, Report, Section, leading_comment, results_folder
 from rvjax.study import Size, Study, StudyError, kind_of, number_at, outside, shown, sizes_of
 
-FRONT, MOST = 4, 16  # points of the trade front
+MOST = 16  # points of the trade front
 
 
 @dataclass(kw_only=True)
@@ -65,7 +65,7 @@ class DesignInputs(Inputs):
         if self.front is not None and not 0 <= self.front <= MOST:
             raise ValueError(f"--front {self.front}: must lie between 0 and {MOST}")
         _refuse_unread(self.study)
-        usual = 0 if self.study.costly else FRONT
+        usual = effort_of(self.study).front
         self.points = 0 if self.alone or not self.study.objective else usual if self.front is None else self.front
         self.folder = results_folder(self.results, f"{self.study.name}-design")
         more = () if self.alone else (STEPS, UNSCALED)

@@ -13,7 +13,7 @@ from rvjax.base import progress
 from rvjax.base.files import check_writable
 from rvjax.commands.allocate import FILE, Answer, answer, headline, report_on, restored_from
 from rvjax.commands.budget import budget_if_any, section_on
-from rvjax.commands.forecast import ALLOCATING, expected, forewarn, read_study, seconds_of_units
+from rvjax.commands.forecast import ALLOCATING, effort_of, expected, forewarn, read_study, seconds_of_units
 from rvjax.commands.report import response_surface
 from rvjax.commands.report.bearings import bearing_section, lives_if_any
 from rvjax.commands.report.friction import friction_section, losses_if_any
@@ -67,7 +67,7 @@ class ReportInputs(commands.Inputs):
         if self.output is not None:
             check_writable(self.output)
         forewarn(self.study, expected(self.study))
-        self.sliders = self.sliders or not self.study.costly
+        self.sliders = self.sliders or effort_of(self.study).sliders
         self.shown = False
         if self.stored is not None and self.output is not None and not self.fresh:
             self.shown = shows(self.output, self.stored, self.source, self.sliders)

@@ -22,7 +22,7 @@ from rvjax.commands.allocate import (
 )
 from rvjax.commands.budget.effects import influence_tables
 from rvjax.commands.cells import against_limit, condition_text, share
-from rvjax.commands.forecast import choices, shown_values
+from rvjax.commands.forecast import choices, effort_of, shown_values
 from rvjax.commands.report import response_surface, sliders
 from rvjax.population import Population, root_key
 from rvjax.records import PyTree
@@ -80,7 +80,7 @@ def page_of(found: Shown, source: str, *, date: str = "") -> str:
     tables = requirement_table(answer), *unlimited, *tolerance_tables(answer), drawing_table(answer)
     sections: list[Content] = [Section("Result", tables), _requirements(answer, drawn), _tolerances(drawn)]
     sections += [sliders.block(found.surrogate, answer)] if found.surrogate else []
-    sections += [sliders.without(source)] if study.costly and not found.surrogate else []
+    sections += [] if found.surrogate or effort_of(study).sliders else [sliders.without(source)]
     sections += [design_section(study), _influence(answer, drawn)]
     sections += [*found.sections, _worst(answer, drawn), _levels(answer)]
     about = dict(study=study.name, author=study.about.author, revision=study.about.revision, computed=date)

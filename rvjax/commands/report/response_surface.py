@@ -17,19 +17,19 @@ from typing import Self
 import numpy as np
 
 from rvjax.commands.allocate import Answer
+from rvjax.commands.forecast import effort_of
 from rvjax.commands.report.region import Columns, Parameter, Sample, fitted
 from rvjax.population import Population, grows_from_lower, root_key
-from rvjax.response import BLOCK, Part, is_costly, numbers_of, parts
+from rvjax.response import BLOCK, Part, numbers_of, parts
 from rvjax.tolerances import Estimate, Limits, Statistics, Tolerance, monte_carlo
 
 UNITS = 2048
-COSTLY_UNITS = 768  # three calls of the gradients' program
 REACH = 0.4  # of a half-width: how far it moves within the region, either way
 SHIFT = 0.25  # the same of the place of its limits, in half-widths
 _FLOOR = 0.5  # of the units are sampled evenly, the others from the tails
 POINTS = 8  # of the region at which the error is measured
 FRESH = 8 * BLOCK  # units that measure it, at each point
-COMPARED = 256  # of its own units, of which a costly response is computed at each point
+COMPARED = 256  # of its own units, of which the response is computed at each point where fresh ones take too long
 Places = list[tuple[str, np.ndarray]]  # points of the region: name, parameters in reaches
 
 
@@ -135,14 +135,15 @@ def surrogate(
 
     Args:
         answer: result of an allocation.
-        units: of the surrogate; a costly response has `COSTLY_UNITS`.
+        units: of the surrogate; a costly response has those of its `Effort`.
         points: of the region at which the error is measured.
         fresh: independent units at each point; a costly response has `COMPARED` of its own units.
         chunk: units in one call.
     """
     study, side = answer.study, answer.after
     names, response = tuple(study.requirements), study.response()
-    count, compared = (COSTLY_UNITS, "own") if is_costly(response) else (units, "fresh")
+    own = effort_of(response).surrogate
+    count, compared = own or units, "own" if own else "fresh"
     parameters = tuple(_parameters(answer))
     full = np.stack([np.asarray(side.values[name], float) for name in names])
     valid = np.flatnonzero(np.isfinite(full).all(axis=0))

@@ -40,7 +40,7 @@ def block(found: Surrogate, answer: Answer) -> Block:
 
 
 def without(source: str) -> Section:
-    """The section of a page of a costly study without sliders.
+    """The section of a page that has no sliders without an option.
 
     Args:
         source: of the study, as named.
