@@ -7,7 +7,7 @@ from codesign_random import problem
 
 from rvjax.records import Record, record
 from rvjax.tolerances import ReciprocalPower, Requirement, Tolerance, allocate
-from rvjax.tolerances.allocation import problem as search_problem, search
+from rvjax.tolerances.allocation import constraints, search
 from tests.oracles.responses import Lever
 
 CERTIFICATE = 20_000
@@ -127,7 +127,7 @@ def test_the_interval_of_a_price_of_half_widths_alone(monkeypatch):
 @pytest.mark.parametrize("seed", [9, *(pytest.param(k, marks=[pytest.mark.long, OFF]) for k in (10, 12))])
 def test_all_prices_of_a_random_problem(seed, monkeypatch):
     """Within 5 %, of which the certificate takes up to 2 %. Prices of 8192 units scatter by 4 %, of these by 2 %."""
-    monkeypatch.setattr(search_problem, "QUICK", 32_768)
+    monkeypatch.setattr(constraints, "QUICK", 32_768)
     given = problem(seed)
     cost, prices, _ = given.exact()
     arguments = given.arguments()

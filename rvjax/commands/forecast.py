@@ -156,10 +156,9 @@ def _quick_units(study: Study) -> dict[str, float]:
 
 
 def _costly_units(study: Study) -> dict[str, float]:
-    drawn = study.certificate_samples
     return {
-        SEARCHING: COSTLY_PASSES[bool(study.middles)] * study.samples + COSTLY_CERTIFICATES * drawn,
-        CERTIFYING: min(drawn, QUICK),
+        SEARCHING: COSTLY_PASSES[bool(study.middles)] * study.samples + COSTLY_CERTIFICATES * study.certificate_samples,
+        CERTIFYING: min(study.certificate_samples, QUICK),
         SAMPLING: COSTLY_UNITS * (1 + len(study.fields)),
         PRICING: len(targets(study)) * COSTLY_POINT,
     }
