@@ -6,6 +6,7 @@ import jax
 import matplotlib.pyplot as plt
 import numpy as np
 import two_studies
+from matplotlib.colors import LogNorm
 
 from benchmarks import bench_table
 from benchmarks.tables import stored
@@ -23,7 +24,7 @@ from rvjax import (
 )
 from rvjax.errors import RVErrors
 from rvjax.levels import table
-from rvjax.plotting import drawings, dynamics as dynamic_pictures
+from rvjax.plotting import drawings
 from rvjax.plotting.style import AFTER, BEFORE, LIMIT
 from rvjax.published import rv160
 from rvjax.units import arcmin, arcsec, rpm, um
@@ -51,13 +52,22 @@ def _turn(axes):
 
 
 def _campbell(axes):
-    design = catalogue.RV_320E
-    speed = np.linspace(100, 2000, 200) * rpm
-    per_turn = design.involute.sun_teeth * (1 - 1 / float(_ratio(design)))
-    return dynamic_pictures.campbell(
-        dynamics.modes(design), speed, per_turn * speed / (2 * np.pi),
-        harmonics={1: "translational", 2: "planetary", 4: "rotational"}, axes=axes,
-    )  # fmt: skip
+    found, speed = dynamics.modes(catalogue.RV_320E), np.linspace(100, 2000, 200) * rpm
+    stage = catalogue.RV_320E.involute
+    mesh = stage.sun_teeth * (1 - 1 / catalogue.RV_320E.ratio) * speed / (2 * np.pi)
+    excited, highest = {1: "translational", 2: "planetary", 4: "rotational"}, 2500
+    rays = {f"harmonic {n}, excites {kind}": n * mesh for n, kind in excited.items()}
+    plotting.lines(speed / rpm, rays, xlabel="sun speed (r/min)", ylabel="frequency (Hz)", axes=axes)
+    for k, kind in enumerate(dict.fromkeys(found.kind)):
+        own = np.asarray(found.frequency)[(found.kind == kind) & (found.frequency < highest)]
+        axes.hlines(own, *(speed[[0, -1]] / rpm), f"C{k + 3}", label=kind, lw=1)
+        for n in (n for n, name in excited.items() if name == kind):
+            axes.plot(np.interp(own, n * mesh, speed / rpm, np.nan, np.nan), own, "ko", ms=4)
+    axes.set(
+        xlim=speed[[0, -1]] / rpm, ylim=(0, highest), title="Natural frequencies and mesh harmonics; dots: excited"
+    )
+    axes.legend(loc="upper left", frameon=True, framealpha=0.9, fontsize=8)
+    return axes
 
 
 @cache
@@ -82,9 +92,20 @@ def _joint_orders(axes):
     heavy = inertia.replace(output_inertia=inertia.output_inertia + question.conditions.load_inertia)
     found = dynamics.modes(question.design.replace(inertia=heavy))
     modes = [float(f) for f, kind in zip(found.frequency, found.kind) if kind == "rotational" and f < 80]
-    return dynamic_pictures.campbell_amplitudes(
-        jax.tree.map(lambda x: x[1], units), speeds, ratio=question.design.ratio, modes=modes, highest=80, axes=axes
-    )
+    turns, size = speeds / question.design.ratio, np.abs(units.amplitude[1, :, :, 0]) / arcmin
+    norm = LogNorm(size.max() / 1000, size.max(), clip=True)
+    for k, (n, height) in enumerate(zip(np.asarray(units.order[1]), size.T)):
+        frequency, drop = n * turns / (2 * np.pi), ("bottom", "top")[k % 2]
+        drawn = axes.scatter(turns / rpm, frequency, 4 + 30 * norm(height), height, cmap="viridis_r", norm=norm, lw=0)
+        last = np.flatnonzero(frequency <= 80)[-1]
+        axes.annotate(f" {n:.4g}", (turns[last] / rpm, frequency[last]), fontsize=8, va=drop)
+    for value in modes:
+        axes.axhline(value, color="0.35", ls="--", lw=1, label="mode" if value == modes[0] else None)
+    axes.figure.colorbar(drawn, ax=axes, label="amplitude (arcmin)", pad=0.1)
+    axes.set(xlabel="output speed (r/min)", ylabel="frequency (Hz)", xlim=turns[[0, -1]] / rpm, ylim=(0, 80))
+    axes.set_title("Orders per output turn (numbers) and their amplitudes", pad=14)
+    axes.legend(loc="upper left")
+    return axes
 
 
 def _joint_batch(axes):
@@ -103,10 +124,6 @@ def _joint_batch(axes):
     axes.set(xlim=(turns[0] / rpm, turns[-1] / rpm), ylim=(0, None))
     axes.legend(fontsize=9)
     return axes
-
-
-def _ratio(design):
-    return 1 + design.cycloid.pin_count * design.involute.planet_teeth / design.involute.sun_teeth
 
 
 @cache
@@ -141,7 +158,7 @@ def _loaded_pins(_):
     figure, axes = plt.subplots(1, 2, figsize=(9.6, 5.6))
     one = jax.tree.map(lambda x: x[0], found)
     for k in range(2):
-        plotting.loaded.pin_forces(_loaded_unit()[0], one, input_angle=0.0, disc=k, axes=axes[k])
+        drawings.pin_forces(_loaded_unit()[0], one, input_angle=0.0, disc=k, axes=axes[k])
     return figure
 
 
@@ -160,10 +177,29 @@ def _loaded_sharing(axes):
     return axes
 
 
-def _loaded_torsion(axes):
+def _loaded_torsion(_):
+    """On the right what the bench evaluates: backlash at no load, lost motion at 3 % of the rated torque."""
     _, torque, found = _loaded_cases()
     bench = loaded.torsion(*_loaded_unit(), input_angle=0.0, rated_torque=412.0)
-    return plotting.loaded.torsion_curve(bench, torque=torque, angle=found.error[61:], axes=axes)
+    zero = (bench.angle[3] + bench.angle[4]) / 2  # the mid-point of the backlash
+    curve = {"output, input held": (found.error[61:] - zero) / arcmin}
+    labels = dict(xlabel="load at the output (N m)", ylabel="angle of the output (arcmin)")
+    figure, both = plt.subplots(1, 2, figsize=(9.6, 4.4))
+    for axes in both:
+        plotting.lines(-torque, curve, **labels, axes=axes)
+        axes.plot(-bench.torque, (bench.angle - zero) / arcmin, "o", mfc="white")
+    both[0].set_title(f"stiffness {bench.stiffness * arcmin:.4g} N m/arcmin")
+    reach = 0.06 * 412.0
+    for name, value, colour in (("backlash", bench.backlash, "C2"), ("lost motion", bench.lost_motion, LIMIT)):
+        for side in (-0.5, 0.5):
+            label = f"{name} {value / arcmin:.3f} arcmin" if side > 0 else None
+            both[1].axhline(side * value / arcmin, color=colour, ls=":", label=label)
+    both[1].set(xlim=(-reach, reach), ylim=np.array([-1, 1]) * bench.lost_motion / arcmin)
+    both[1].set_title("grey: 3 % of the rated torque")
+    for load in (-0.5 * reach, 0.5 * reach):
+        both[1].axvline(load, color="0.6", lw=0.8)
+    both[1].legend(loc="upper left", fontsize=9)
+    return figure
 
 
 def _loaded_orders(_):
@@ -179,7 +215,12 @@ def _loaded_orders(_):
         legend=dict(loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=9), axes=axes[0],
     )  # fmt: skip
     axes[0].set(xlim=(0, 360), xticks=range(0, 361, 60))
-    plotting.loaded.output_orders(turns, highest=250, axes=axes[1])
+    size = 2 / 512 * np.abs(np.fft.rfft(turns["412 N m"].error))[1:] / arcsec
+    axes[1].vlines(np.arange(1, 251), 0, size[:250], lw=1.6)
+    for order in np.argsort(-size)[:6] + 1:
+        axes[1].annotate(f" {order}", (order, size[order - 1]), va="bottom", ha="center", fontsize=9, rotation=90)
+    axes[1].set(xlabel="order of the output turn", ylabel="amplitude (arcsec)", xlim=(0, 251))
+    axes[1].set_ylim(0, 1.15 * size.max())
     return figure
 
 
@@ -188,8 +229,17 @@ def _loaded_measured(axes):
     model = np.empty(len(rv160.TORQUE))
     model[rv160.FITTED] = rows["rv160.windup.fitted"]["our_value"]
     model[~rv160.FITTED] = rows["rv160.windup.predicted"]["our_value"]
-    curves = {"model, fitted to every second torque": model * arcmin}
-    return plotting.loaded.measured_curve(rv160.TORQUE, rv160.MEASURED, rv160.FITTED, curves, axes=axes)
+    bench = rv160.MEASURED / arcmin
+    miss = np.abs(model - bench)[~rv160.FITTED].max()
+    curves = {f"model, fitted to every second torque: predicted within {miss:.3f} arcmin": model}
+    curves["measured, fitted to"] = np.where(rv160.FITTED, bench, np.nan)
+    curves["measured, predicted"] = np.where(rv160.FITTED, np.nan, bench)
+    points = dict(color="black", ls="", marker="o", ms=6)
+    plotting.lines(
+        rv160.TORQUE, curves, looks={"measured, fitted to": points, "measured, predicted": points | {"mfc": "white"}},
+        xlabel="torque at the output (N m)", ylabel="half of backward less forward error (arcmin)", axes=axes,
+    )  # fmt: skip
+    return axes
 
 
 def _gauge_picture(axes):
@@ -232,6 +282,18 @@ def _bench_picture(axes):
     return axes
 
 
+def _contributions(axes):
+    found = lost_motion.geometric(catalogue.RV_20E, catalogue.RV_20E_ERRORS)
+    terms = {plotting.words(name): float(value) / arcmin for name, value in vars(found.terms).items() if value}
+    total = f"sum {found.total / arcmin:+.3f} arcmin"
+    plotting.bars([*terms], {"contribution": [*terms.values()]}, xlabel="contribution (arcmin)", axes=axes)
+    axes.bar_label(axes.containers[0], fmt="%+.3f", padding=3, fontsize=9)
+    axes.axvline(found.total / arcmin, color=LIMIT, ls="--", zorder=0, label=total)
+    axes.margins(x=0.15)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+    return axes
+
+
 def _loop(axes):
     """Torque-angle loop of an output whose torque is cycled, as a test bench plots it."""
     branch = np.linspace(-167, 167, 801)
@@ -258,12 +320,7 @@ PICTURES = {
     "drive_errors": (lambda axes: plotting.drive.errors(catalogue.CYCLOIDAL_17, axes=axes), (11, 6.4)),
     "linkage": (lambda axes: drawings.linkage(catalogue.RV_40E, axes=axes), (7, 5.2)),
     "turn": (_turn, (7, 4.2)),
-    "contributions": (
-        lambda axes: plotting.contributions(
-            lost_motion.geometric(catalogue.RV_20E, catalogue.RV_20E_ERRORS), axes=axes
-        ),
-        (8.4, 4.4),
-    ),
+    "contributions": (_contributions, (8.4, 4.4)),
     "loop": (_loop, (7, 4.2)),
     "tooth": (lambda axes: drawings.tooth(catalogue.CORR, axes=axes), (7, 4.6)),
     "campbell": (_campbell, (7, 4.6)),
@@ -271,7 +328,7 @@ PICTURES = {
     "joint_batch": (_joint_batch, (7, 4.2)),
     "loaded_pins": (_loaded_pins, None),
     "loaded_sharing": (_loaded_sharing, (7, 4.2)),
-    "loaded_torsion": (_loaded_torsion, (7, 4.6)),
+    "loaded_torsion": (_loaded_torsion, None),
     "loaded_orders": (_loaded_orders, None),
     "loaded_measured": (_loaded_measured, (7, 4.4)),
     "budget_machine": (two_studies.budget, None),

@@ -6,14 +6,12 @@ the NumPy model of dynamics_oracle.py, and the printed appendix of Yang et al. 2
 
 import jax
 import jax.numpy as jnp
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
 import rvjax
 from rvjax import MeshVariation, Status, dynamics
 from rvjax.catalogue import RV_20E, RV_320E
-from rvjax.plotting import dynamics as plotting
 from rvjax.published import rv320e
 from rvjax.units import arcsec, deg, rpm
 from tests.oracles.appendix import printed_stiffness
@@ -305,15 +303,6 @@ def test_statuses_of_modes_and_mean_state():
     assert np.isfinite(static.deflection[4]).all() and modes.frequency[4, 0] == 0
     pins = dynamics.static(cycloid(force_angle=90 * deg), output_torque=TORQUE)
     assert pins.info.status == Status.INVALID_GEOMETRY
-
-
-def test_pictures():
-    found = dynamics.modes(RV_320E)
-    speed = np.linspace(1, 1000, 50)
-    mesh = speed * 2.37
-    kinds = {1: "translational", 4: "rotational"}
-    assert len(plotting.campbell(found, speed, mesh, harmonics=kinds).lines) > 10
-    plt.close("all")
 
 
 def test_soft_sideways_mode_of_two_discs():

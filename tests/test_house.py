@@ -351,8 +351,8 @@ def test_pages_that_messages_and_comments_name_exist():
 def test_notebooks_take_from_the_package_what_it_has():
     """A name that moved fails here, long before the notebooks run."""
     moved = "from rvjax.tolerances import gone, sample\nfrom rvjax import plotting as p, study\nimport rvjax.gone\n"
-    used = "p.loaded.torsion_curve({}); p.loaded.gone(study.load('x').gone); rvjax.gone()"
-    expected = ["from rvjax.tolerances import gone", "import rvjax.gone", "rvjax.plotting.loaded.gone"]
+    used = "p.drawings.reducer({}); p.drawings.gone(study.load('x').gone); rvjax.gone()"
+    expected = ["from rvjax.tolerances import gone", "import rvjax.gone", "rvjax.plotting.drawings.gone"]
     assert missing(f"{moved}{used}") == expected
     for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
         cells = json.loads(path.read_text("utf-8"))["cells"]

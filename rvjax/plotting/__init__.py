@@ -1,9 +1,8 @@
 """Plots: functions that take numbers and results in SI and return Axes. The models never import this package."""
 
-from rvjax.plotting import drawings as drawings, drive as drive, dynamics as dynamics, loaded as loaded
+from rvjax.plotting import drawings as drawings, drive as drive
 from rvjax.plotting.bars import (
     bars as bars,
-    contributions as contributions,
     error_budget as error_budget,
     first_failures as first_failures,
     identified_elements as identified_elements,

@@ -1,6 +1,5 @@
 """Bars by name, side by side or stacked, and the plots of results that are bars."""
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,9 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from rvjax.lost_motion import LostMotion
 from rvjax.plotting.style import AFTER, AFTER_BARS, BEFORE, BEFORE_BARS, LIMIT, PALETTE, Looks, look, new_axes, words
-from rvjax.units import arcmin, arcsec
+from rvjax.units import arcsec
 
 MOST = 40
 """Most elements of one plot: those that the data move most."""
@@ -167,40 +165,6 @@ def first_failures(
     left.invert_yaxis()
     left.grid(axis="y", visible=False)
     return figure
-
-
-def contributions(result: LostMotion, *, axes: Axes | None = None) -> Axes:
-    """Every contribution to the lost motion as a bar, clearance to the right and interference to the left.
-
-    Args:
-        result: of `lost_motion.geometric`, one unit.
-        axes: where to draw; a new figure by default.
-    """
-    axes = new_axes(axes)
-    names = [f.name for f in dataclasses.fields(result.terms) if float(getattr(result.terms, f.name)) != 0]
-    values = [float(getattr(result.terms, name)) / arcmin for name in names]
-    rows = np.arange(len(names))[::-1]
-    axes.barh(rows, values, color=[AFTER if value > 0 else BEFORE for value in values], height=0.6)
-    for row, value in zip(rows, values):
-        axes.annotate(
-            f"{value:+.3f}",
-            (value, row),
-            xytext=(4 if value > 0 else -4, 0),
-            textcoords="offset points",
-            ha="left" if value > 0 else "right",
-            va="center",
-            fontsize=9,
-        )
-    total = float(result.total) / arcmin
-    axes.axvline(total, color=LIMIT, lw=1.5, ls="--", zorder=0)
-    axes.axvline(0, color="0.3", lw=0.8)
-    axes.set_yticks(rows, [words(name) for name in names])
-    axes.margins(x=0.15)
-    title = f"Contributions to the lost motion; their sum {total:+.3f} arcmin is the dashed line"
-    axes.set_title(title, fontsize=10)
-    axes.set(xlabel="contribution (arcmin)")
-    axes.grid(axis="y", visible=False)
-    return axes
 
 
 def residual_orders(residual: Mapping[str, np.ndarray], sd: float, *, axes: Axes | None = None) -> Axes:

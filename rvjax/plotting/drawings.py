@@ -1,5 +1,5 @@
-"""Drawings of frames and signs: the second stage seen along its axis, and its linkage with the errors of its parts;
-a tooth of the oscillatory roller stage."""
+"""Drawings of frames, signs and forces: the second stage along its axis, its linkage with the errors of its parts,
+forces on a disc; a tooth of the oscillatory roller stage."""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,6 +12,7 @@ from matplotlib.patches import Circle, Rectangle
 from rvjax.cycloidal import Reducer
 from rvjax.designs import CamRollerReducer, RVReducer
 from rvjax.geometry import flank_along
+from rvjax.loaded import Loaded
 from rvjax.mesh_force import largest_roller_radius, tooth_profile
 from rvjax.plotting.style import AFTER, BEFORE, LIMIT, PALETTE, new_axes
 from rvjax.records import PyTree, Scalar
@@ -254,6 +255,63 @@ def sense(axes: Axes, arc: np.ndarray, width: float) -> None:
     """
     axes.plot(*arc.T, color="black", lw=width)
     axes.annotate("", arc[-1], arc[-3], arrowprops=dict(arrowstyle="-|>", color="black", lw=width))
+
+
+def pin_forces(
+    design: RVReducer, result: Loaded, *, input_angle: float, disc: int = 0, axes: Axes | None = None
+) -> Axes:
+    """A disc in its ring, seen along the axis in the frame of the carrier, with every force on it as an arrow.
+
+    Arrows of pins and bearings have different scales; those of pins are alike for all discs of `result`.
+
+    Args:
+        design: as solved.
+        result: of `loaded.equilibrium`.
+        input_angle: as solved, rad.
+        disc: which one.
+        axes: where to draw; a new figure by default.
+    """
+    axes = new_axes(axes)
+    cycloid, radius = design.cycloid, design.cycloid.pin_circle_radius
+    output = float(input_angle) / design.ratio
+    crank = -cycloid.pin_count * output + 2 * np.pi * disc / cycloid.disc_count
+    centre = cycloid.eccentricity * unit_vector(crank)
+    part = turned(flank(design), -2 * np.pi * disc / (cycloid.disc_count * cycloid.disc_teeth))
+    axes.fill(*((part + centre).T / mm), facecolor="0.95", edgecolor="0.45", lw=1.0)
+
+    places = 2 * np.pi * np.arange(cycloid.pin_count) / cycloid.pin_count - output
+    for place in places:
+        pin = tuple(radius / mm * unit_vector(place))
+        axes.add_patch(Circle(pin, float(cycloid.pin_radius) / mm, fc="0.8", ec="0.5"))
+    # The force on the disc points from a pin's centre through the pitch point.
+    pitch_point = cycloid.eccentricity * cycloid.pin_count * unit_vector(crank)
+    pins = radius * np.stack([np.cos(places), np.sin(places)], axis=1)
+    normal = (pitch_point - pins) / np.linalg.norm(pitch_point - pins, axis=1)[:, None]
+    force, largest = np.asarray(result.pins)[disc], float(np.max(np.asarray(result.pins)))
+    touch, pressed = (pins + cycloid.pin_radius * normal) / mm, force > 0
+    length = 0.45 * radius / mm / max(largest, 1e-300)
+    tips = normal * force[:, None] * length
+    label = f"{int(np.sum(pressed))} of {cycloid.pin_count} pins, at most {force.max() / 1e3:.3g} kN"
+    scale: Any = dict(angles="xy", scale_units="xy", scale=1)
+    axes.quiver(*touch[pressed].T, *tips[pressed].T, **scale, color=AFTER, width=0.005, label=label)
+
+    bearing = np.asarray(result.disc_bearing)[disc]
+    size = np.linalg.norm(bearing, axis=1)
+    journals = (np.array(crank_axes(design)) + centre) / mm
+    for place in journals:
+        axes.add_patch(Circle(tuple(place), 0.2 * float(design.cranks.circle_radius) / mm, fc="white", ec="0.45"))
+    greatest = max(float(np.linalg.norm(np.asarray(result.disc_bearing), axis=-1).max()), 1e-300)
+    tips = bearing * 0.4 * radius / mm / greatest
+    label = f"cranks on the disc, at most {size.max() / 1e3:.3g} kN"
+    axes.quiver(*journals.T, *tips.T, **scale, color=LIMIT, width=0.008, label=label, zorder=3)
+    axes.plot(*(centre / mm), "o", color="black", ms=3)
+    axes.set_aspect("equal")
+    reach = 1.12 * (radius + cycloid.pin_radius) / mm
+    axes.set(xlabel="x (mm)", ylabel="y (mm)", xlim=(-reach, reach), ylim=(-reach, reach))
+    axes.set_title(f"Forces on disc {disc}")
+    axes.grid(visible=False)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), fontsize=9)
+    return axes
 
 
 def tooth(design: CamRollerReducer, *, axes: Axes | None = None) -> Axes:
