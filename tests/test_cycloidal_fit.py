@@ -15,7 +15,7 @@ from rvjax import CycloidalErrors, RVErrors, Status
 from rvjax.catalogue import RV_40E
 from rvjax.loaded import clearance, unchecked
 from rvjax.loaded.cycloidal_gaps import lines
-from rvjax.loaded.largest_gap import Lines, largest_gap
+from rvjax.loaded.geometry import Lines, largest_gap
 from rvjax.units import um
 from tests.oracles import cycloidal as oracle
 
@@ -88,7 +88,7 @@ def test_the_tangents_end_at_the_linear_programme_and_say_where_they_do_not(monk
     found, left = jax.jit(jax.vmap(largest_gap))(*cases)
     np.testing.assert_allclose(found, due, rtol=0, atol=1e-6 * um)
     assert np.max(np.abs(left)) < 1e-9 * um
-    monkeypatch.setattr("rvjax.loaded.largest_gap.STEPS", 1)
+    monkeypatch.setattr("rvjax.loaded.geometry.STEPS", 1)
     found, left = jax.jit(jax.vmap(largest_gap))(*jax.tree.map(lambda x: x[:199], cases))  # another program
     assert np.all(found > due[:199] - 1e-6 * um) and np.max(found - due[:199]) > 10 * um
     assert np.all(found - left < due[:199] + 1e-6 * um) and np.max(left) > 10 * um

@@ -9,7 +9,7 @@ from scipy import optimize
 from rvjax import RVErrors, loaded, study
 from rvjax.catalogue import CORR, RV_40E
 from rvjax.loaded import unchecked
-from rvjax.loaded.largest_gap import Lines, largest_gap
+from rvjax.loaded.geometry import Lines, largest_gap
 from rvjax.status import Status
 from rvjax.tolerances import allocate
 from rvjax.units import um

@@ -12,10 +12,10 @@ import pytest
 from rvjax import study
 from rvjax.loaded import laws
 from rvjax.loaded.equilibrium import admit, check_input, prepare
+from rvjax.loaded.line_search import shortened, touching
 from rvjax.loaded.newton import minimise, take
 from rvjax.loaded.observation import ways
 from rvjax.loaded.system import contacts, depths, displaced, held
-from rvjax.loaded.touching import shortened, touching
 from rvjax.population import Population, root_key
 from rvjax.response import numbers_of
 

@@ -16,8 +16,7 @@ import numpy as np
 
 from rvjax.cycloidal import CycloidalErrors, CycloidalReducer
 from rvjax.flank import Ground
-from rvjax.loaded.geometry import Geometry, Turn, geometry, pin_depths
-from rvjax.loaded.largest_gap import STEPS, Lines, largest_gap
+from rvjax.loaded.geometry import STEPS, Geometry, Lines, Turn, geometry, largest_gap, pin_depths
 from rvjax.loaded.system import Layout
 from rvjax.records import Scalar, promote
 from rvjax.status import SolveInfo, Status, admit, converged

@@ -24,7 +24,18 @@ from rvjax._jax.sizes import EQUILIBRIA
 from rvjax.loaded import laws
 from rvjax.loaded.hessian import Frame, frame, hessian, solve
 from rvjax.loaded.interior import approach
-from rvjax.loaded.line_search import OF_DRIVES, PATIENCE, Merit, Rows, State, begun, decided, onward
+from rvjax.loaded.line_search import (
+    OF_DRIVES,
+    PATIENCE,
+    Merit,
+    Rows,
+    State,
+    begun,
+    decided,
+    onward,
+    shortened,
+    touching,
+)
 from rvjax.loaded.system import (
     Contacts,
     Held,
@@ -42,7 +53,6 @@ from rvjax.loaded.system import (
     pressed_pins,
     typical_joint_slopes,
 )
-from rvjax.loaded.touching import shortened, touching
 
 Tree = TypeVar("Tree")
 
