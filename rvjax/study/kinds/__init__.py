@@ -18,6 +18,7 @@ from rvjax.study.kinds.kind import (
     Start as Start,
     drawn,
     features,
+    variable_tables as variable_tables,
 )
 from rvjax.study.kinds.scaling import (
     Law as Law,
@@ -26,7 +27,6 @@ from rvjax.study.kinds.scaling import (
     replaced as replaced,
     split as split,
 )
-from rvjax.study.kinds.tables import variable_tables as variable_tables
 
 __all__ = ["KINDS", "Kind", "changed", "facts_of", "kind_of", "orders_of"]
 

@@ -14,7 +14,7 @@ from rvjax.mounting import unit_errors
 from rvjax.records import Scalar
 from rvjax.study.kinds.drive_starts import FLANK, HOLE, NEEDED, PROCESSES, RATED, START, free_play, rated_torque
 from rvjax.study.kinds.kind import Drawing, Kind, drawn, features
-from rvjax.study.kinds.pins import pin_facts, refuse_overlap
+from rvjax.study.kinds.rv_facts import pin_facts, refuse_overlap
 from rvjax.units import arcmin
 
 INTERFERENCE = 0.1  # of the eccentricity; a smaller hole is a mistake in its diameter

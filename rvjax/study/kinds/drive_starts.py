@@ -15,8 +15,7 @@ from rvjax.cycloidal import CycloidalReducer
 from rvjax.population import tolerance_unit
 from rvjax.records import PyTree
 from rvjax.study.kinds.kind import Assumed, Choices, Known, Numbers, Start
-from rvjax.study.kinds.scaling import number_at
-from rvjax.study.kinds.tables import rewritten, scaled_line, stated, with_torque
+from rvjax.study.kinds.scaling import number_at, rewritten, scaled_line, stated, with_torque
 from rvjax.study.values import in_unit
 from rvjax.units import arcmin, parse
 
@@ -231,7 +230,7 @@ def _tables(text: str, numbers: Numbers, given: Known) -> str:
             value, reason = limits.get(path[1], ("", ""))
             return stated(match, value, reason, f"initially {value}") if value else match[0]
         if path[0] == "conditions":
-            return with_torque(path, match, given.torque, why)
+            return with_torque(path, match, given.torque.value if given.torque else None, why)
         return scaled_line(path, match, ratios)
 
     return rewritten(text, line)

@@ -12,9 +12,10 @@ from importlib import resources
 from typing import Any
 
 from rvjax.catalogue import BASES
+from rvjax.geometry import figures
 from rvjax.records import PyTree
-from rvjax.study.kinds.scaling import Following
-from rvjax.study.values import Toml
+from rvjax.study.kinds.scaling import Following, number_at
+from rvjax.study.values import Toml, in_unit
 
 
 def _none(*_: object) -> Any:
@@ -289,3 +290,31 @@ class Kind:
     def largest_torque(self) -> float:
         """Largest rated torque of known reducers, N m; infinite where none is known."""
         return max(self.rated.values(), default=math.inf)
+
+
+def variable_tables(choices: Choices, design: PyTree) -> tuple[str, str]:
+    """Tables of the numbers that `rvjax design` may choose, with their prices; limits of the unit without errors.
+
+    Args:
+        choices: of the kind of reducer.
+        design: at the start.
+    """
+    tables = ["# Numbers of the design that may change; bounds and prices are assumed", ""]
+    for path, shares in choices.bounds.items():
+        if number := float(number_at(design, path)):  # 0 has no bounds in proportion
+            lower, upper = (in_unit(end, "m") for end in sorted(share * number for share in shares))
+            tables += [f'[variable."{path}"]', f'lower = "{lower}"', f'upper = "{upper}"']
+            if price := choices.prices.get(path):
+                tables += [f'cost = {{price = {price:g}, per = "{in_unit(number, "m")}"}}']
+            tables += [""]
+    limits = list[str]()
+    found: PyTree = figures(design) if choices.volume or choices.limits else None
+    if choices.volume:
+        volume = in_unit(float(found.envelope_volume), "m3", 2)
+        tables += ["[objective] # price of the space, in the unit of the costs"]
+        tables += [f'envelope_volume = {{price = {choices.volume:g}, per = "{volume}"}}', ""]
+        limits += ["# Limits of the unit without errors, assumed from its values at the start", ""]
+    for name, share in choices.limits.items():
+        value = in_unit(share * float(getattr(found, name)), "m", 3)
+        limits += [f"[requirement.{name}]", f'nominal_{"lower" if share < 1 else "upper"} = "{value}"', ""]
+    return "\n".join(tables), "\n".join(limits)

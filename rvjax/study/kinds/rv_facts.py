@@ -1,5 +1,7 @@
 """Values that follow from the numbers of an RV reducer, and numbers that are impossible or that no known reducer has.
 
+Pins of the ring are those of RV reducers and single-stage drives.
+
 Ratio, gaps, undercut, contact ratio; radii of standard gears; scaling laws (`scaling.toml`) for a number that changes.
 
 Where a study changes what a number follows from, the number follows; where it gives both, they must agree. A published
@@ -15,15 +17,49 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.programs import ONCE, quick
-from rvjax.catalogue import BASES, shown
-from rvjax.designs import BallBearing, InvoluteStage, RollerBearing, RVReducer
+from rvjax.catalogue import BASES, sharp_from, shown
+from rvjax.designs import BallBearing, CycloidStage, InvoluteStage, RollerBearing, RVReducer
 from rvjax.geometry import contact_ratio
 from rvjax.life import dynamic_rating, static_rating
 from rvjax.records import PyTree, Scalar
-from rvjax.study.kinds.pins import pin_facts, refuse_overlap
 from rvjax.study.kinds.scaling import Following, Law, number_at
 from rvjax.study.values import Toml, subtable
 from rvjax.units import rpm
+
+
+def half_pitch(cycloid: CycloidStage) -> float:
+    """Half of the distance of neighbouring pins of the ring, m: pins of this radius touch."""
+    return float(cycloid.pin_circle_radius * math.sin(math.pi / cycloid.pin_count))
+
+
+def pin_facts(cycloid: CycloidStage) -> Iterator[tuple[str, str]]:
+    """(name, value) of what follows from the numbers of a cycloid stage.
+
+    Args:
+        cycloid: numbers, not traced.
+    """
+    least = sharp_from(cycloid)
+    sharp = "undercut" if cycloid.pin_radius >= least else "no undercut"
+    yield "K1", f"{float(cycloid.shortening_coefficient):.4g}"
+    yield "gap between pins", shown(2 * (half_pitch(cycloid) - cycloid.pin_radius), "m")
+    yield (
+        "largest pin without undercut",
+        f"{shown(least, 'm')} radius; the pins have {shown(cycloid.pin_radius, 'm')}: {sharp}",
+    )
+
+
+def refuse_overlap(cycloid: CycloidStage) -> None:
+    """Raise an error for pins of the ring that overlap.
+
+    Raises:
+        ValueError: names the key and its value.
+    """
+    if cycloid.pin_radius >= (pitch := half_pitch(cycloid)):
+        raise ValueError(
+            f"design.cycloid.pin_radius = {shown(cycloid.pin_radius, 'm')}: the pins overlap from {shown(pitch, 'm')} "
+            f"on ({cycloid.pin_count} pins on a circle of radius {shown(cycloid.pin_circle_radius, 'm')})"
+        )
+
 
 GEARS = ("sun_teeth", "planet_teeth", "module", "pressure_angle")
 PROFILE = ("eccentricity", "pin_count", "pin_circle_radius")

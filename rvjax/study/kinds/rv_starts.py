@@ -19,8 +19,7 @@ from rvjax.population import it_width, tolerance_unit
 from rvjax.records import PyTree, Scalar
 from rvjax.study.kinds.kind import Assumed, Choices, Known, Numbers, Start
 from rvjax.study.kinds.rv_facts import AXIAL, FOLLOWING, KNOWN_REDUCERS, LAWS, NAMES, RATED, SIZES
-from rvjax.study.kinds.scaling import Law, number_at, outside
-from rvjax.study.kinds.tables import rewritten, scaled_line, stated, with_torque
+from rvjax.study.kinds.scaling import Law, number_at, outside, rewritten, scaled_line, stated, with_torque
 from rvjax.study.values import in_unit
 from rvjax.units import mm, um
 
@@ -247,7 +246,7 @@ def _of_four_bars(given: Known, example: RVReducer) -> tuple[Numbers, dict[str, 
 
 def _with_torque(text: str, numbers: Numbers, given: Known) -> str:
     """Tables of the four-bar study with the rated torque of this reducer."""
-    return rewritten(text, lambda path, match: with_torque(path, match, given.torque))
+    return rewritten(text, lambda path, match: with_torque(path, match, given.torque.value if given.torque else None))
 
 
 def _unread(numbers: Numbers) -> str:
@@ -274,7 +273,7 @@ def _tables(text: str, numbers: Numbers, given: Known) -> str:
 
     def line(path: tuple[str, ...], match: re.Match[str]) -> str:
         if path[-1].endswith("_torque"):
-            return with_torque(path, match, torque, torque.why)
+            return with_torque(path, match, torque.value, torque.why)
         if path[:2] == ("requirement", "arm_bearing_force"):
             return stated(match, in_unit(limit, "N", 6), match["note"])
         if path[-1] == "size":

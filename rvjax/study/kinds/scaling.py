@@ -1,4 +1,5 @@
-"""Scaling laws of a kind of reducer: other numbers that follow a number that changes.
+"""Scaling laws of a kind of reducer: other numbers that follow a number that changes;
+tables of an embedded study with scaled values, line by line: comments and order stay.
 
 The ratio of a number to its value in the study gives the ratio of the numbers that follow. A number that the study
 gives does not follow. Without scaling laws an optimum would buy stiffness that no bearing of its size has.
@@ -13,6 +14,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 
 from rvjax.records import Design, PyTree, Record, Scalar
+from rvjax.study.values import in_unit
 
 Follow = Callable[[PyTree, Mapping[str, Scalar], Mapping[str, PyTree], Collection[str]], Mapping[str, PyTree]]
 
@@ -174,3 +176,68 @@ def outside(before: Design, after: Design, laws: Collection[Law], of: str = "the
             most = f"from {law.interval[0]:g} to {law.interval[1]:g} times (assumed)"
             found.append(f"{path}: {ratio:.3g} times that of {of}; {law.name} follow it {most}")
     return found
+
+
+VALUE = re.compile(
+    r'(?P<key>\w+)(?P<gap> *= *)"(?P<word>diametral )?(?P<number>-?[\d.]+) (?P<unit>[^"]+)"(?: *# *(?P<note>.*))?'
+)
+"""A line with a value and its unit."""
+
+
+def rewritten(text: str, change: Callable[[tuple[str, ...], re.Match[str]], str]) -> str:
+    """Text of tables with other values.
+
+    Args:
+        text: of the tables.
+        change: (names of the table and the key, match of `VALUE`) -> the line.
+    """
+    table, made = tuple[str, ...](), []
+    for line in text.splitlines():
+        if header := re.match(r"\[+([\w.]+)\]+", line):
+            table = tuple(header[1].split("."))
+        elif match := VALUE.fullmatch(line):
+            line = change((*table, match["key"]), match)
+        made.append(line)
+    return "\n".join(made) + "\n"
+
+
+def stated(match: re.Match[str], value: str, *notes: str | None) -> str:
+    """The line with another value.
+
+    Args:
+        match: of the line.
+        value: with its unit.
+        *notes: of its comment.
+    """
+    comment = "; ".join(filter(None, notes))
+    line = f'{match["key"]}{match["gap"]}"{match["word"] or ""}{value}"'
+    return f"{line} # {comment}" if comment else line
+
+
+def scaled_line(path: tuple[str, ...], match: re.Match[str], ratios: Mapping[str, tuple[float, str]]) -> str:
+    """The line with its length in um times the ratio of its error; unchanged where there is none.
+
+    Args:
+        path: names of the table and the key.
+        match: of the line.
+        ratios: (ratio, note) by error, or by "error.key".
+    """
+    number, names = float(match["number"]), (".".join(path[1:3]), path[1] if len(path) > 2 else "")
+    ratio, note = next((ratios[name] for name in names if name in ratios), (1.0, ""))
+    if match["unit"] != "um" or ratio == 1 or not number:
+        return match[0]
+    return stated(match, f"{number * ratio:.6g} um", match["note"], note)
+
+
+def with_torque(path: tuple[str, ...], match: re.Match[str], torque: float | None, note: str | None = None) -> str:
+    """The line with the rated torque of this reducer; unchanged where none is known.
+
+    Args:
+        path: names of the table and the key.
+        match: of the line.
+        torque: rated torque, N m.
+        note: of its comment; None: as it is.
+    """
+    if torque is None or not path[-1].endswith(("output_torque", "rated_torque")):
+        return match[0]
+    return stated(match, in_unit(torque, "N m"), match["note"] if note is None else note)
