@@ -16,7 +16,6 @@ import pytest
 import rvjax
 from rvjax import CycloidalErrors, cli, geometry, loaded, measured, running, study
 from rvjax.commands import export
-from rvjax.commands.export import joint
 from rvjax.status import SolveInfo, Status
 from rvjax.units import arcmin, mm
 
@@ -251,7 +250,7 @@ def test_the_curve_is_that_of_the_unit_and_is_read_back(folder, monkeypatch, cap
         seen.append((float(errors.pin_radius), float(errors.ring_pin_friction), ways))
         return SimpleNamespace(error=wave, info=SimpleNamespace(status=status[0]))
 
-    monkeypatch.setattr(joint, "_of_unit", lambda *_: running.Joint(**numbers, info=SolveInfo(0, 1, 0.0)))
+    monkeypatch.setattr(export, "_of_unit", lambda *_: running.Joint(**numbers, info=SolveInfo(0, 1, 0.0)))
     monkeypatch.setattr(loaded, "revolution", revolution)
     (folder / "unit.toml").write_text(UNIT.format(places=[[["1 um", "0 m"]] * 6] * 2))
     command = ["export", "drive.toml", "a.json", "--unit", "unit.toml", "--curve", "a.csv", "--rated-torque", "4 N m"]
@@ -279,7 +278,7 @@ def test_the_curve_of_an_rv_reducer_has_the_stiffness_of_its_unit(monkeypatch):
 
     monkeypatch.setattr(loaded, "revolution", revolution)
     inputs = SimpleNamespace(study=asked, curve=Path("a.csv"), torque=412.0)
-    joint._error(inputs, rvjax.RVErrors.for_design(asked.design, disc_pin_stiffness=0.1))
+    export._error(inputs, rvjax.RVErrors.for_design(asked.design, disc_pin_stiffness=0.1))
     assert seen == [(pytest.approx(1.1 * asked.design.stiffness.disc_pin_mesh), 960, "fixed")]
 
 
@@ -293,7 +292,7 @@ def units(folder, monkeypatch):
         numbers = {name: np.where(each < failed, np.nan, each) for name in running.units(running.Joint)}
         numbers |= dict(damping=None, rotor_inertia=None, output_inertia=None)
         joint = jax.vmap(lambda numbers, info: running.Joint(**numbers, info=info))(numbers, info)
-        monkeypatch.setattr(export.joint, "_of_units", lambda *_: joint)
+        monkeypatch.setattr(export, "_of_units", lambda *_: joint)
         return cli.main(["export", "drive.toml", "a.json", "--unit", unit, "--samples", "100", "--quiet"])
 
     return SimpleNamespace(run=run, file=folder / "a.json")
