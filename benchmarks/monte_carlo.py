@@ -179,9 +179,9 @@ def main():
 
 def watched_run(response, tolerances, required, units, options, curve, memory, began):
     """The long run, with a point of the memory curve at every tenth."""
-    from rvjax.tolerances.batch import accumulator
+    from rvjax.tolerances.batch import statistics
 
-    add, tenth = accumulator.Accumulator.add, max(units // 10, options.chunk)
+    add, tenth = statistics.Accumulator.add, max(units // 10, options.chunk)
 
     def watching(self, number, start, values, status, **own):
         add(self, number, start, values, status, **own)
@@ -189,7 +189,7 @@ def watched_run(response, tolerances, required, units, options, curve, memory, b
         if done // tenth > len(curve) or done == units:
             curve.append((done, time.perf_counter() - began, memory.part()))
 
-    accumulator.Accumulator.add = watching
+    statistics.Accumulator.add = watching
     try:
         return monte_carlo(
             response,
@@ -202,7 +202,7 @@ def watched_run(response, tolerances, required, units, options, curve, memory, b
             checkpoint=options.checkpoint,
         )
     finally:
-        accumulator.Accumulator.add = add
+        statistics.Accumulator.add = add
 
 
 if __name__ == "__main__":

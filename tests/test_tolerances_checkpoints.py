@@ -16,7 +16,7 @@ from scale_study import LIMITS, STACK, bits, response, run, smooth
 from rvjax.population.population import Population
 from rvjax.population.sample_statistics import CentralMoments, Pairwise
 from rvjax.tolerances import Outcome, Tolerance, monte_carlo
-from rvjax.tolerances.batch import accumulator, checkpoint
+from rvjax.tolerances.batch import checkpoint, statistics
 from rvjax.tolerances.batch.checkpoint import describe, response_hash
 from rvjax.tolerances.batch.quantiles import Order
 
@@ -67,7 +67,7 @@ class Stop(BaseException):
 
 def interrupted(after, *arguments, **options):
     """A study that ends without warning when `after` chunks are counted."""
-    left, add = [after], accumulator.Accumulator.add
+    left, add = [after], statistics.Accumulator.add
 
     def limited(*chunk, **own):
         left[0] -= 1
@@ -76,7 +76,7 @@ def interrupted(after, *arguments, **options):
         add(*chunk, **own)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(accumulator.Accumulator, "add", limited)
+        patch.setattr(statistics.Accumulator, "add", limited)
         run(*arguments, **options)
 
 
@@ -224,7 +224,7 @@ def slow_study(path, samples):
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_compilation_cache_dir", f"{path}.programs")  # compile once for all processes
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    add = accumulator.Accumulator.add
+    add = statistics.Accumulator.add
 
     def slow(*arguments, **options):
         with Path(f"{path}.begun").open("ab") as begun:
@@ -232,7 +232,7 @@ def slow_study(path, samples):
         time.sleep(0.004)
         add(*arguments, **options)
 
-    accumulator.Accumulator.add = slow
+    statistics.Accumulator.add = slow
     run(samples, checkpoint=path, checkpoint_every=0)
 
 

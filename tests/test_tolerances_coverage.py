@@ -14,8 +14,7 @@ from scipy import special, stats
 
 from rvjax.population.estimates import of_groups, student
 from rvjax.population.sample_statistics import CentralMoments, Sampled
-from rvjax.tolerances import Estimate, Requirement, Tolerance, failure_probability
-from rvjax.tolerances.failure import failure
+from rvjax.tolerances import Estimate, Requirement, Tolerance, failure, failure_probability
 from rvjax.tolerances.failure.subset import Levels, Sequential, Spreads, sequential
 
 RUNS = 1000

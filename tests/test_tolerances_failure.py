@@ -20,8 +20,17 @@ from rvjax.records import Record, field, record
 from rvjax.response.response import respond
 from rvjax.status import Status
 from rvjax.study.response import Response
-from rvjax.tolerances import Estimate, Outcome, Requirement, Tolerance, failure_probability, for_design, monte_carlo
-from rvjax.tolerances.failure import failure, subset
+from rvjax.tolerances import (
+    Estimate,
+    Outcome,
+    Requirement,
+    Tolerance,
+    failure,
+    failure_probability,
+    for_design,
+    monte_carlo,
+)
+from rvjax.tolerances.failure import subset
 from rvjax.tolerances.failure.form import Found, Units, slopes
 from rvjax.tolerances.failure.importance_sampling import Mixture
 from rvjax.units import um

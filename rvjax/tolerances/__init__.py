@@ -24,13 +24,13 @@ from rvjax.tolerances.allocation.problem import FEWEST as FEWEST, KEPT as KEPT, 
 from rvjax.tolerances.allocation.result import Allocation
 from rvjax.tolerances.allocation.variable import Middle, Variable, check_middles as check_middles
 from rvjax.tolerances.allocation.whole_sample import Nominal
+from rvjax.tolerances.batch import monte_carlo
 from rvjax.tolerances.batch.checkpoint import Memo as Memo
-from rvjax.tolerances.batch.monte_carlo import monte_carlo
 from rvjax.tolerances.batch.run import Run as Run
 from rvjax.tolerances.batch.shares import Folder as Folder, Processes as Processes, take as take
 from rvjax.tolerances.batch.statistics import Statistics
 from rvjax.tolerances.batch.unit_file import ENDINGS as ENDINGS, UnitFile
-from rvjax.tolerances.failure.failure import FailureProbability, failure_probability
+from rvjax.tolerances.failure import FailureProbability, failure_probability
 from rvjax.tolerances.influence import (
     COSTLY_UNITS as COSTLY_UNITS,
     Influence as Influence,

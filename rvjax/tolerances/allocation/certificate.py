@@ -21,7 +21,7 @@ from rvjax.tolerances.allocation.sample import NearUnits, Values
 from rvjax.tolerances.allocation.tails import FEWEST
 from rvjax.tolerances.batch.run import Run
 from rvjax.tolerances.batch.statistics import Statistics, rejects, shares_alone
-from rvjax.tolerances.failure.failure import failure_probability
+from rvjax.tolerances.failure import failure_probability
 from rvjax.tolerances.limits import Limits, Verdict
 
 TESTS = 10

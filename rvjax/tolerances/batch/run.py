@@ -17,7 +17,6 @@ from rvjax.population import SCRAMBLES, Estimate, Population, Sampled
 from rvjax.records import PyTree
 from rvjax.response import Evaluator, Response
 from rvjax.status import PRECEDENCE
-from rvjax.tolerances.batch.accumulator import Accumulator
 from rvjax.tolerances.batch.checkpoint import (
     LARGEST,
     Checkpoint,
@@ -30,7 +29,7 @@ from rvjax.tolerances.batch.checkpoint import (
 )
 from rvjax.tolerances.batch.quantiles import quantile_estimate
 from rvjax.tolerances.batch.shares import Alone, Chunks, Processes, in_order, take
-from rvjax.tolerances.batch.statistics import Statistics, rejects
+from rvjax.tolerances.batch.statistics import Accumulator, Statistics, rejects
 from rvjax.tolerances.batch.unit_file import UnitFile, Write, joined, writing
 from rvjax.tolerances.limits import Limits
 from rvjax.tolerances.worst_case import extremes
