@@ -176,8 +176,8 @@ def _prepare(*, gpu: bool = False) -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     os.environ.setdefault("MPLBACKEND", "Agg")
-    # Matrices are small. On a busy computer threads wait for each other: `compensate` of 3,000 points with 40 steps took
-    # 23.7 instead of 4.3 CPU s, and 83 instead of 15 s.
+    # Matrices are small. On a busy computer threads wait for each other: `compensate` of 3,000 points with 40 steps
+    # took 23.7 instead of 4.3 CPU s, and 83 instead of 15 s.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy loads
     gc.set_threshold(100_000, 20, 20)  # imports, tracing and drawing make objects that stay
     named = os.environ.get("JAX_PLATFORMS")

@@ -117,7 +117,9 @@ YIELD_SWEEP = (0.9, 0.95, 0.99, 0.995, 0.999)
 PASSES = 60  # of a search and its cost curve over its sample: 30 to 90
 CERTIFICATES = {True: 6, False: 4}  # with a mid-point: 3 of a million units, 12 of 8,000
 PASSES_A_POINT = 6  # of the cost curve
-COSTLY_PASSES, COSTLY_CERTIFICATES, COSTLY_POINT = {True: 7, False: 3}, 3, 6000
+COSTLY_PASSES, COSTLY_CERTIFICATES, COSTLY_POINT = {True: 7, False: 3}, 3, 5000
+
+_BEFORE = 4096  # costly units of the given tolerances, at most
 
 
 @dataclasses.dataclass(frozen=True)
@@ -158,7 +160,7 @@ def _quick_units(study: Study) -> dict[str, float]:
 def _costly_units(study: Study) -> dict[str, float]:
     return {
         SEARCHING: COSTLY_PASSES[bool(study.middles)] * study.samples + COSTLY_CERTIFICATES * study.certificate_samples,
-        CERTIFYING: min(study.certificate_samples, QUICK),
+        CERTIFYING: min(study.certificate_samples, _BEFORE),
         SAMPLING: COSTLY_UNITS * (1 + len(study.fields)),
         PRICING: len(targets(study)) * COSTLY_POINT,
     }
@@ -168,7 +170,7 @@ OF_QUICK = Effort(_quick_units, "20 s for an RV-40E, 45 s")
 """Of units that take microseconds."""
 
 OF_COSTLY = Effort(
-    _costly_units, "30 s for a loaded RV-40E, 60 s", shared=True, before=4096, sliders=False, surrogate=768, front=0,
+    _costly_units, "30 s for a loaded RV-40E, 60 s", shared=True, before=_BEFORE, sliders=False, surrogate=768, front=0,
     plan={"most_valued": 2**18, "most_fresh": 2**14},
 )  # fmt: skip
 """Of units that take a millisecond. A surrogate takes three calls of the gradients' program."""
