@@ -222,6 +222,7 @@ def test_measuring_a_model(lost_motion):
     assert made.errors["disc_runout"] == pytest.approx(15 * um)
 
 
+@pytest.mark.long  # a model is measured above
 def test_units_of_one_design_can_be_timed(lost_motion, monkeypatch):
     small = dataclasses.replace(lost_motion, ways=lost_motion.ways[:1], batch=8, calls=1, timed=32)
     given = []

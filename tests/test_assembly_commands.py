@@ -187,11 +187,24 @@ def cranks(change):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda pair: [500.0, pair[1]], r"crank_eccentricity\[0\] = 500 um lies 76\.9 half-widths from the middle"),
-        (lambda pair: [1.2, -3.0 * 25.4], r"crank_eccentricity\[1\] = -76\.2 um lies 11\.7 half-widths"),
-        (lambda pair: [3.1 * 1000, 2.0 * 1000], r"crank_eccentricity\[0\] = 3\.1 mm lies 477 half-widths"),
+        pytest.param(
+            lambda pair: [500.0, pair[1]],
+            r"crank_eccentricity\[0\] = 500 um lies 76\.9 half-widths from the middle",
+            id="one",
+            marks=pytest.mark.long,
+        ),
+        pytest.param(
+            lambda pair: [1.2, -3.0 * 25.4],
+            r"crank_eccentricity\[1\] = -76\.2 um lies 11\.7 half-widths",
+            id="inch",
+            marks=pytest.mark.long,
+        ),
+        pytest.param(
+            lambda pair: [3.1 * 1000, 2.0 * 1000],
+            r"crank_eccentricity\[0\] = 3\.1 mm lies 477 half-widths",
+            id="both in mm",
+        ),
     ],
-    ids=["one", "inch", "both in mm"],
 )
 def test_a_part_in_another_unit_is_named_first_with_its_row(files, capsys, undrawn, change, said):
     """Half-width 6.5 um: one line before the verdict, in the summary too; the other 19 say nothing."""

@@ -225,7 +225,7 @@ def test_a_terminal_without_umlauts_gets_the_rest(tmp_path, monkeypatch, capsys)
     assert rb"Study gr\xf6\xdfe: RVReducer" in said and rb"M\xfcller" in said
 
 
-def test_what_is_assumed_is_named_until_it_is_given():
+def test_what_is_assumed_is_named_until_it_is_given(unsolved):
     assert "cranks.bearing_stiffness" in asked(DESIGN, DESIGN).assumed
     assert "cycloid.disc_count" in asked(DESIGN, DESIGN).assumed
     given = asked(DESIGN, DESIGN + '\ncranks.bearing_stiffness = "5e8 N/m"').assumed

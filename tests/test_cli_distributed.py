@@ -37,6 +37,7 @@ def started(folder, code):
     )
 
 
+@pytest.mark.long  # three processes; threads stand for them below
 def test_a_process_that_dies_ends_the_run_and_another_number_of_them_resumes(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "small.toml").write_text(SMALL)

@@ -211,6 +211,7 @@ def test_a_throw_out_of_tolerance_is_told_from_a_wrong_model(here, undrawn, caps
     assert "something is out of tolerance" in (here / "broken" / "summary.txt").read_text()
 
 
+@pytest.mark.long  # test_identify_many.py has units in a batch
 def test_several_units_share_a_question(here, capsys):
     rng = np.random.default_rng(5)
     tables = [both(rng, unit=name, throw=s * THROW) for name, s in (("A", 1), ("B", -1), ("C", 0))]

@@ -158,6 +158,7 @@ def test_a_costly_study_has_sliders_on_demand(here, answers, monkeypatch):
         assert [command.shows(here / "page.html", here, "x.toml", own) for own in (True, False)] == [written, True]
 
 
+@pytest.mark.long  # test_cli_allocate.py writes the page of a stored result
 def test_a_new_answer_and_its_page_share_a_folder(answers, undrawn, here, capsys):
     (here / "small.toml").write_text(SMALL)
     assert cli.main(["report", "small.toml", "--quiet", "--format", "json"]) == 0

@@ -54,6 +54,7 @@ def test_monte_carlo_of_26_independent_rollers(response, tolerances):
     assert found.failed == 0
 
 
+@pytest.mark.long  # test_check.py has its response
 def test_the_embedded_study_finds_cheaper_tolerances():
     """Small: linear contacts and few units; the requirement is the peak cam force."""
     whole = study.load("corr", solve=False)

@@ -246,6 +246,7 @@ def test_values_keep_bounds_and_limits(designed):
     assert np.isfinite(result["cost"]["after"]) and result["cost"]["after"] < result["cost"]["before"]
 
 
+@pytest.mark.long  # test_tolerances_memo.py interrupts an allocation
 def test_a_killed_command_continues_from_its_journal(designed, tmp_path, monkeypatch):
     """Killed at its tenth gradient, it computes none of the nine again, and ends as a run that was never killed."""
     study_file, out, journal = designed[1].with_name("small.toml"), tmp_path / "out", tmp_path / "out.part"

@@ -64,6 +64,7 @@ def test_a_smooth_curve_through_every_second_torque_predicts_the_others():
     assert np.abs(miss[~rv160.FITTED]).max() > 0.05  # 500 N m: no smooth curve does better
 
 
+@pytest.mark.long  # the kept figures are compared above, the fit in test_published.py
 def test_half_of_the_torques_of_a_measured_reducer_predict_the_others():
     """Stiffness, clearance and scatter are known afterwards; the modification of the flanks is not."""
     found = calibration.calibrated(calibration.kept())

@@ -159,6 +159,7 @@ def test_slopes_are_those_of_the_plain_value():
         np.testing.assert_allclose(found[:, k], due, rtol=2e-5, atol=1e-9)
 
 
+@pytest.mark.long
 def test_float32_gives_the_same_to_its_rounding():
     design = reducer(1.3 * mm, 64 * mm, 3 * mm, 12 * mm)
     single = geometry.figures(jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), design), jnp.float32(412))

@@ -109,6 +109,7 @@ def there(here, monkeypatch):
     monkeypatch.setattr(Figure, "content", lambda *_: b"")
 
 
+@pytest.mark.long  # its program is twice those of the curves; test_cli_identify.py finds the errors of an RV reducer
 def test_the_errors_of_a_drive_are_found(here):
     """The ring acts at order zc, shaft and carrier at order zp; only their sum is seen well, and no single hole is."""
     assert cli.main(["identify", "unit.toml", "unit.csv", "--quiet", "--results", "out"]) == 0

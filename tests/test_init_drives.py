@@ -185,6 +185,7 @@ def test_clearances_alone_give_the_backlash_of_the_solved_drive():
     assert drive_starts.free_play(numbers, 10 * um) == pytest.approx(2 * np.hypot(straight, aside), rel=1e-4)
 
 
+@pytest.mark.long  # test_cycloidal_fit.py has the fit and its closed forms
 def test_the_recommended_clearances_shift_every_fit_by_the_same():
     """Flanks s more, holes 2 s more in diameter: the least clearance of each unit grows by s exactly."""
     case = NAMED["c17: fit, errors"]
@@ -305,6 +306,7 @@ def test_an_output_without_a_limit_that_fails_leaves_the_others(monkeypatch):
     assert made.further and (found.values, found.status) == (values, Status.CONVERGED)
 
 
+@pytest.mark.long  # the words of the share follow from given clearances above
 def test_check_of_a_drive_has_usual_values_without_limits_and_the_share_that_jams(tmp_path, capsys):
     """The embedded study without its limits of pressure; the clearance of the unit is that of `loaded.clearance`."""
     text = (study.EMBEDDED / "cycloidal-17.toml").read_text("utf-8")

@@ -1,10 +1,12 @@
 """A few of the 500 mutated studies and CSV files of `benchmarks.census.inputs`: each ends as a command should."""
 
 import numpy as np
+import pytest
 
 from benchmarks.census import inputs
 
 
+@pytest.mark.long  # the sound ones run below, and each bad input has its own test
 def test_a_mutated_input_ends_with_one_line():
     counts, wrong = inputs.run(studies=24, files=16, seed=7, commands=("check", "compensate"))
     assert wrong == []

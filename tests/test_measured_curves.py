@@ -34,13 +34,12 @@ def test_the_angles_repeat_at_the_number_of_equal_steps():
     ("points", "order", "looks"),
     [
         (36, 39, 3),
-        (36, 40, 4),
-        (72, 39, 33),
-        (90, 80, 10),
         (118, 78, 40),
-        (120, 80, 40),
-        (144, 105, 39),
         (145, 105, 40),
+        *(
+            pytest.param(*case, marks=pytest.mark.long)
+            for case in ((36, 40, 4), (72, 39, 33), (90, 80, 10), (120, 80, 40), (144, 105, 39))
+        ),
     ],
 )
 def test_an_order_of_the_reducer_that_looks_like_another_is_not_stored(points, order, looks):
@@ -67,7 +66,12 @@ def test_orders_that_are_resolved_are_stored_at_any_density():
 
 
 @pytest.mark.parametrize(
-    ("points", "order", "looks"), [(720, 650, 70), (720, 648, 72), (720, 700, 20), (720, 525, 195), (360, 324, 36)]
+    ("points", "order", "looks"),
+    [
+        (720, 650, 70),
+        (360, 324, 36),
+        *(pytest.param(*case, marks=pytest.mark.long) for case in ((720, 648, 72), (720, 700, 20), (720, 525, 195))),
+    ],
 )
 def test_an_order_of_the_motor_is_not_stored(points, order, looks):
     """72, 70 and 20 are no orders of the reducer; 36 is near 39, but 324 = 4 x 81 of a sun looks like it."""
@@ -134,7 +138,10 @@ def test_a_high_order_at_uneven_angles_does_not_leak():
 # Drift, steps, bad readings
 
 
-@pytest.mark.parametrize(("slope", "turns"), [(0.5, 1), (10, 1), (-10, 2), (60, 1), (1236, 1)])
+@pytest.mark.parametrize(
+    ("slope", "turns"),
+    [(0.5, 1), (-10, 2), *(pytest.param(slope, 1, marks=pytest.mark.long) for slope in (10, 60, 1236))],
+)
 def test_a_drift_is_reported_and_not_stored(slope, turns):
     angle = equal(720, turns)
     judged, _, stored, rest = evaluated(angle, curve(angle * deg) + slope * angle / 360 + noise(len(angle)))
@@ -144,7 +151,7 @@ def test_a_drift_is_reported_and_not_stored(slope, turns):
     assert said(judged)["closure"].value == pytest.approx(slope * turns * arcsec, rel=0.05, abs=0.3 * arcsec)
 
 
-@pytest.mark.parametrize("constant", [10, 60, 150, 400])
+@pytest.mark.parametrize("constant", [60, *(pytest.param(c, marks=pytest.mark.long) for c in (10, 150, 400))])
 def test_a_warm_up_is_reported_and_not_stored(constant):
     angle = equal(720)
     error = curve(angle * deg) + 12 * (1 - np.exp(-angle / constant)) + noise(720)
@@ -170,7 +177,9 @@ def test_a_lost_step_is_refused_with_its_place(size, at):
     assert float(str(caught.value).split("jumps by ")[1].split()[0]) == pytest.approx(size, abs=0.15)
 
 
-@pytest.mark.parametrize("rows", [(100,), (0,), (719,), (50, 51, 400)])
+@pytest.mark.parametrize(
+    "rows", [(0,), (50, 51, 400), *(pytest.param((row,), marks=pytest.mark.long) for row in (100, 719))]
+)
 def test_a_bad_reading_is_named_and_left_out(rows):
     angle, error = equal(720), curve(equal(720) * deg) + noise(720)
     error[list(rows)] += 3600
@@ -180,7 +189,7 @@ def test_a_bad_reading_is_named_and_left_out(rows):
     assert sorted(int(text.split(",")[0].removeprefix("row ")) for text in named) == [row + 2 for row in rows]
 
 
-@pytest.mark.parametrize("points", [12, 13, 16, 24, 36, 48])
+@pytest.mark.parametrize("points", [12, 13, 24, *(pytest.param(n, marks=pytest.mark.long) for n in (16, 36, 48))])
 @pytest.mark.parametrize("wrong", [{0: -36.2}, {7: -3.6}, {-1: 5.0}, {2: -36.2, 8: 20.0}, {7: -3.6, 8: -3.5}])
 def test_wrong_readings_among_few_are_named_and_left_out(points, wrong):
     """A round of 0.3 deg with noise of 0.002 deg, on drives whose lowest orders are 39 and 16."""
@@ -198,7 +207,7 @@ def test_wrong_readings_among_few_are_named_and_left_out(points, wrong):
         assert judged.noise < 0.004 * deg
 
 
-@pytest.mark.parametrize("at", [0, 1, 120, 198])
+@pytest.mark.parametrize("at", [0, 120, *(pytest.param(k, marks=pytest.mark.long) for k in (1, 198))])
 @pytest.mark.parametrize("back", [False, True])
 def test_a_wrong_angle_is_a_bad_reading_and_no_pass(tmp_path, at, back):
     """Counts of an encoder; the first row, 2050 for 3, was a backward curve of two points."""
@@ -228,7 +237,7 @@ def remembers(count, share, seed, sd=0.6):
     return np.array(kept[200:])
 
 
-@pytest.mark.parametrize("share", [0.3, 0.6, 0.8, 0.95, 1.0])
+@pytest.mark.parametrize("share", [0.3, 0.8, 1.0, *(pytest.param(x, marks=pytest.mark.long) for x in (0.6, 0.95))])
 def test_noise_with_memory_is_not_stored(share):
     for seed in (0, 1, 2, 3, 46):  # the last random walk has a large order 2
         error = remembers(720, share, seed)
@@ -259,7 +268,9 @@ def test_independent_readings_have_the_level_of_independent_readings():
 # Orders that are no whole numbers
 
 
-@pytest.mark.parametrize("order", [3.5, 12.34, 66.1, 66.5, 66.6, 100.3])
+@pytest.mark.parametrize(
+    "order", [12.34, 66.5, *(pytest.param(x, marks=pytest.mark.long) for x in (3.5, 66.1, 66.6, 100.3))]
+)
 @pytest.mark.parametrize("turns", [1, 3])
 def test_a_line_between_whole_orders_is_named_and_does_not_leak(order, turns):
     angle = equal(720, turns)
@@ -290,7 +301,7 @@ def test_neighbouring_whole_orders_are_no_line():
 # Strokes, repeated readings, passes
 
 
-@pytest.mark.parametrize("stroke", [340, 300, 200, 90])
+@pytest.mark.parametrize("stroke", [340, 90, *(pytest.param(x, marks=pytest.mark.long) for x in (300, 200))])
 def test_the_orders_of_the_reducer_are_known_from_a_part_of_a_turn(stroke):
     angle = np.arange(0, stroke + 0.25, 0.5)
     truth = TRUTH | {80: 1.0, 2: 2.0, 3: 1j} if stroke > 250 else TRUTH

@@ -9,6 +9,7 @@ import shlex
 import shutil
 from pathlib import Path
 
+import pytest
 from _pytest.mark.expression import Expression
 
 from benchmarks.census import mutants
@@ -16,6 +17,7 @@ from benchmarks.census import mutants
 ROOT = Path(__file__).parents[1]
 
 
+@pytest.mark.long  # a job of the workflow: 800 rows against the whole package
 def test_every_expression_is_there_once_and_its_tests_exist():
     """A change of the code that removes a mutant's expression has to bring another one."""
     found = mutants.table()

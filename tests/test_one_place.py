@@ -197,6 +197,7 @@ certificate_samples = 80000
 """
 
 
+@pytest.mark.long  # as all dear tests of this file, a job of the workflow; errors and kinds of reducers by default
 def test_a_cost_law_is_one_place(fake_model, undrawn, monkeypatch, tmp_path):
     """A law in steps of a currency per micron: read from a study, allocated, on the page of the answer; a table too.
 
@@ -264,6 +265,7 @@ distribution = "uniform"
 """
 
 
+@pytest.mark.long
 def test_an_observation_is_one_place(fake_model, monkeypatch, tmp_path, capsys):
     """The loop of a joint under a rising and falling torque: its keys are as stiff as those that made the data.
 

@@ -25,6 +25,10 @@ DESIGNS = {
     name: getattr(catalogue, name) for name in ("CYCLOIDAL_15", "CYCLOIDAL_17", "CYCLOIDAL_29", "RV_20E", "RV_40E")
 }
 FINE = 1e-8
+QUICK = ("CYCLOIDAL_17", "RV_20E")  # one of each kind; the size of a design decides the programs
+EACH = [
+    pytest.param(design, id=name, marks=[] if name in QUICK else [pytest.mark.long]) for name, design in DESIGNS.items()
+]
 THREE = catalogue.CYCLOIDAL_29.replace(cycloid=catalogue.CYCLOIDAL_29.cycloid.replace(disc_count=3))
 
 
@@ -50,7 +54,7 @@ def pairs(z):
     return np.stack([z.real, z.imag], axis=1)
 
 
-@pytest.mark.parametrize("design", DESIGNS.values(), ids=DESIGNS)
+@pytest.mark.parametrize("design", EACH)
 def test_points_lie_on_the_parallel_line_as_dense_as_the_chord_says(design):
     found, offset = geometry.outline(design, chord=2 * um), numbers(design)[1]
     t = np.linspace(0, 2 * np.pi, 400_001)[:-1]
@@ -70,7 +74,7 @@ def test_points_lie_on_the_parallel_line_as_dense_as_the_chord_says(design):
     assert np.sum((radius > np.roll(radius, 1)) & (radius >= np.roll(radius, -1))) == design.cycloid.disc_teeth
 
 
-@pytest.mark.parametrize("design", DESIGNS.values(), ids=DESIGNS)
+@pytest.mark.parametrize("design", EACH)
 def test_the_area_is_that_of_the_closed_form(design):
     """pi (R^2 + zp e^2) less offset times length, and pi offset^2; arcs over their chords have k s^3/12."""
     circle, offset, e, pins = numbers(design)
@@ -85,7 +89,7 @@ def test_the_area_is_that_of_the_closed_form(design):
     assert area == pytest.approx(due, rel=1e-8)
 
 
-@pytest.mark.parametrize("design", [*DESIGNS.values(), THREE], ids=[*DESIGNS, "three discs"])
+@pytest.mark.parametrize("design", [*EACH, pytest.param(THREE, id="three discs", marks=pytest.mark.long)])
 def test_all_pins_touch_flanks_without_modifications(design):
     """Every disc on its eccentric, its holes where the carrier is: only then is the phase of its flank right."""
     c = design.cycloid.replace(equidistant_modification=0.0, shift_modification=0.0, profile_modification=None)
@@ -101,8 +105,15 @@ def test_all_pins_touch_flanks_without_modifications(design):
         np.testing.assert_allclose(distance, c.pin_radius, atol=1e-7)
 
 
-@pytest.mark.parametrize("name", ["eccentricity", "pin_circle_radius", "pin_radius"])
-@pytest.mark.parametrize("design", [DESIGNS["CYCLOIDAL_17"], DESIGNS["RV_20E"]], ids=["drive", "RV"])
+@pytest.mark.parametrize(
+    ("design", "name"),
+    [
+        pytest.param(DESIGNS[design], name, id=f"{kind}-{name}", marks=marks)
+        for design, kind, quick in (("CYCLOIDAL_17", "drive", "eccentricity"), ("RV_20E", "RV", "pin_radius"))
+        for name in ("eccentricity", "pin_circle_radius", "pin_radius")
+        for marks in [[] if name == quick else [pytest.mark.long]]
+    ],
+)
 def test_derivatives_of_the_flank(design, name):
     value, step = getattr(design.cycloid, name), 1e-8
 
@@ -226,7 +237,7 @@ def roller_centres(design, angle):
     return distance * 1j * np.exp(-1j * angle)
 
 
-@pytest.mark.parametrize("chord", [20 * um, 2 * um])
+@pytest.mark.parametrize("chord", [20 * um, pytest.param(2 * um, marks=pytest.mark.long)])
 def test_the_inner_gear_of_a_roller_stage_is_parallel_to_the_path_of_its_rollers(chord):
     """Counter-clockwise, with a tooth space on the y axis; normals into the material outside; convex tips."""
     design = catalogue.CORR

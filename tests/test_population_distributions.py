@@ -58,7 +58,7 @@ def test_lognormal_is_scipy_s():
     assert (scaled.lower, scaled.upper) == (-1.0, 1.0)
 
 
-@pytest.mark.parametrize("concentration", [0.0, 0.5, 8.0, 2000.0])
+@pytest.mark.parametrize("concentration", [0.5, 2000.0, *(pytest.param(k, marks=pytest.mark.long) for k in (0.0, 8.0))])
 def test_directions_are_scipy_s(concentration):
     z = np.stack([np.zeros_like(Z), Z])
     x, y = np.asarray(deviated(turned(concentration), z))
@@ -73,7 +73,7 @@ def test_directions_are_scipy_s(concentration):
     np.testing.assert_allclose(np.hypot(x, y), math.sqrt(2 * math.log(2)), rtol=1e-12)  # the median magnitude
 
 
-@pytest.mark.parametrize("concentration", [0.0, 3.0])
+@pytest.mark.parametrize("concentration", [3.0, pytest.param(0.0, marks=pytest.mark.long)])
 def test_moments_of_directed_vectors(concentration):
     tolerance = turned(concentration, shape=(3, 2))
     first, second = np.meshgrid(POINTS, POINTS, indexing="ij")
@@ -149,6 +149,7 @@ def response(e):
     return e["skew"] + 2 * e["data"] + e["runout"][0, 0] - 3 * e["runout"][1, 1] + e["runout"][0, 1]
 
 
+@pytest.mark.long  # each law alone is held above, each use with other laws in its own file
 def test_every_use_of_a_law(tmp_path):
     linear = rss(response, MIXED)
     found = monte_carlo(response, MIXED, samples=50_000, seed=1, requirements=Requirement(upper=30.0))

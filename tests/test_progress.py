@@ -120,7 +120,7 @@ def test_a_signal_whose_exception_is_lost_ends_the_next_step(monkeypatch):
                 advance(1)
                 if step == 0:
                     gc.callbacks.append(callback)
-                    gc.collect()
+                    gc.collect(0)
 
     before = signal.getsignal(signal.SIGTERM)
     with pytest.raises(TimeoutError), progress.ended_by(signal.SIGTERM, TimeoutError()):

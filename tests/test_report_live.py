@@ -292,7 +292,7 @@ def test_the_sliders_in_a_browser(answered, tmp_path):
     assert seen["status"].startswith("Cost ") and "lost motion: 9" in seen["status"]
 
 
-def test_without_scripts_nothing_of_it_is_seen(answered):
+def test_without_scripts_nothing_of_it_is_seen(answered, undrawn):
     found, made = answered
     without = page_of(Shown(found), "play.toml")
     assert "<script" not in without and "What if" not in without
@@ -300,7 +300,7 @@ def test_without_scripts_nothing_of_it_is_seen(answered):
     assert re.search(r'<section id="live"[^>]* hidden>', with_sliders)
 
 
-def test_the_line_on_the_whole_reducer_is_stored_with_its_result(answered, tmp_path):
+def test_the_line_on_the_whole_reducer_is_stored_with_its_result(answered, undrawn, tmp_path):
     answer, _ = answered
     share = tolerances.Estimate(0.91, 0.015, 0.88, 0.94)
     line = full_model_check.Whole(

@@ -67,6 +67,7 @@ def test_first_and_second_derivatives_equal_the_closed_form():
         np.testing.assert_allclose(bend, -e * np.sin(x) / q**3, rtol=1e-11, atol=1e-14)
 
 
+@pytest.mark.long  # optimistix and the closed form have the same slopes
 def test_implicit_derivative_equals_the_unrolled_one():
     def unrolled(e, m):
         x = m

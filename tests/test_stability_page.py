@@ -30,24 +30,23 @@ def test_the_pages_show_the_census_of_the_file():
     assert {group for group in groups if not group.startswith("dynamics")} == set(BOUNDS)  # the page says why
 
 
-SMALL = [  # the quickest, and in the long profile one of every group
+SMALL = [  # a job of the workflow, one of every group; test_extremes.py has random inputs of each model by default
     "four_bar linkage free open closed_form",
-    pytest.param("lost_motion closed_form 39 teeth", marks=pytest.mark.long),  # test_lost_motion_limits.py has extremes
-    pytest.param("mesh_force linear 2 teeth", marks=pytest.mark.long),  # test_mesh_force_properties.py has a census
-    pytest.param("loaded hertz 3 cranks 2 discs 24 teeth carrier floating", marks=pytest.mark.long),
-    pytest.param("four_bar reducer 2 cranks 1 discs", marks=pytest.mark.long),
-    pytest.param("lost_motion first_order 39 teeth", marks=pytest.mark.long),
-    pytest.param("lost_motion contact 39 teeth", marks=pytest.mark.long),
-    pytest.param("mesh_force hertz 2 teeth", marks=pytest.mark.long),
-    pytest.param("mesh_force palmgren 2 teeth", marks=pytest.mark.long),
-    pytest.param(
-        "loaded linear 4 cranks 3 discs 24 teeth carrier floating sun floating given stiffness", marks=pytest.mark.long
-    ),
-    pytest.param("loaded palmgren 2 cranks 2 discs 39 teeth", marks=pytest.mark.long),
-    pytest.param("dynamics errors 3 cranks 3 discs", marks=pytest.mark.long),
+    "lost_motion closed_form 39 teeth",
+    "mesh_force linear 2 teeth",
+    "loaded hertz 3 cranks 2 discs 24 teeth carrier floating",
+    "four_bar reducer 2 cranks 1 discs",
+    "lost_motion first_order 39 teeth",
+    "lost_motion contact 39 teeth",
+    "mesh_force hertz 2 teeth",
+    "mesh_force palmgren 2 teeth",
+    "loaded linear 4 cranks 3 discs 24 teeth carrier floating sun floating given stiffness",
+    "loaded palmgren 2 cranks 2 discs 39 teeth",
+    "dynamics errors 3 cranks 3 discs",
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SMALL)
 def test_a_small_census_is_clean(name):
     """Two thousand fresh inputs (five hundred of a whole reducer), other ones than those of the file: statuses,

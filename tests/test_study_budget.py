@@ -262,6 +262,7 @@ def test_studies_without_a_budget_raise_an_error(old, new, options, words):
         error_budget(parse_study(TEXT.replace(old, new), name="x", solve=False), **options)
 
 
+@pytest.mark.long  # the influences of an allocation are compared in test_cli_allocate.py
 def test_a_response_without_a_curve_has_shares_and_slopes(question):
     """The lost motion is a sum: of each error the variance is that of its elements times the square of the slope."""
     found = budgets.scalar_budget(question, "lost_motion", samples=512).influence

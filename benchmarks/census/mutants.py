@@ -7,7 +7,7 @@ Each mutant of `mutants.toml` is one change that a person could make by mistake:
 bound. It goes into a copy of the tree. The tests named in its row run, up to the first failure. Before, the same tests
 must pass on the unchanged tree. General tools (mutmut, cosmic-ray) change every operator and run every test. That takes
 days, because programs compile for seconds; these mutants take an hour. They are not part of continuous integration,
-but a fast test compares the table with the code.
+but a job compares the table with the code.
 
 Every run forks from a process that has imported JAX, SciPy and pytest but nothing of rvjax: 3 s of the processor less
 for each row. A run that was interrupted goes on with the rows that its journal lacks.
