@@ -167,7 +167,7 @@ def test_a_written_study_is_the_known_reducer(base):
     assert ("kind" in tomllib.loads(text)["design"]) == (base != "rv-20e")
 
 
-def test_commands(tmp_path, monkeypatch, capsys):
+def test_commands(tmp_path, monkeypatch, unsolved, capsys):
     monkeypatch.chdir(tmp_path)
     assert cli.main(["init", "mine.toml", "--base", "rv-80e", "--model", "four-bar"]) == 0
     assert cli.main(["init", "mine.toml"]) == 2 and "exists already" in capsys.readouterr().err

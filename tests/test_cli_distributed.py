@@ -118,7 +118,10 @@ def three(folder, samples=9000, **options):
         return list(threads.map(part, range(3)))
 
 
-@pytest.mark.parametrize("options", [{}, {"method": "sobol"}, {"keep": True}, {"samples": 3500}])
+FURTHER = [pytest.param(options, marks=pytest.mark.long) for options in ({"method": "sobol"}, {"samples": 3500})]
+
+
+@pytest.mark.parametrize("options", [{}, {"keep": True}, *FURTHER])
 def test_three_processes_give_the_bits_of_one_and_each_evaluates_its_share(tmp_path, monkeypatch, options):
     expected, begun, start = run(**options), [], Evaluator.start
     monkeypatch.setattr(Evaluator, "start", lambda self, first: begun.append(first) or start(self, first))

@@ -195,6 +195,7 @@ def test_conditions_of_a_joint_model_count_as_read():
         study.parse_study(other.replace("friction = ", "# "), name="x", solve=False)
 
 
+@pytest.mark.long  # test_running.py has joint models, test_cycloidal_studies.py the backlash of the drive
 def test_a_drive_without_errors(folder, capsys):
     """Backlash and stiffness of an independent solution (docs/models/single_stage.md); friction in the clearance."""
     assert cli.main(["export", "drive.toml", "a.json", "--format", "json", "--quiet"]) == 0

@@ -51,6 +51,7 @@ def says_any(annotation):
     return any(isinstance(node, ast.Name) and node.id in ANY for node in ast.walk(annotation))
 
 
+@pytest.mark.long  # parses the whole package, as mypy does, which is a job
 @pytest.mark.parametrize(("layers", "most"), [(TYPED, 0.06), (("*",), 0.03)], ids=["typed layers", "everything"])
 def test_few_signatures_say_any(layers, most):
     """`Any` tells an editor nothing; a named type or `object` does."""

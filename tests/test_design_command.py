@@ -55,8 +55,8 @@ nominal_lower = "1 mm"
 nominal_lower = "23.5 mm"
 [run]
 samples = 2048
-certificate_samples = 8192
-"""
+certificate_samples = 20480
+"""  # of which 205 may fail, so that counts certify and no rare units are sought
 # Both limits bind, and slopes do not lead the search to its optimum: twenty times the time.
 TWO_LIMITS = SMALL.replace("-1 um", "-20 um").replace('"1 um"\n[objective', '"20 um"\n[objective')
 TWO_LIMITS = TWO_LIMITS.replace("[requirement.lost_motion]", '[requirement.lost_motion]\nlower = "-0.6 arcmin"')
@@ -181,7 +181,7 @@ def designed(request, tmp_path_factory):
 
 def test_the_command_answers(designed):
     code, out, result = designed
-    assert code == 0 and result["status"] == "OPTIMAL" and result["certificate"]["samples"] == 8192
+    assert code == 0 and result["status"] == "OPTIMAL" and result["certificate"]["samples"] == 20_480
     for name in ("report.html", "summary.txt", "variables.csv", "tolerances.csv", "requirements.csv", "nominal.csv",
                  "optima.csv", "scaling.csv", "sizes.csv", "section.png", "front.png", "study.toml"):  # fmt: skip
         assert (out / name).stat().st_size > 0, name

@@ -98,7 +98,9 @@ def test_a_curve_states_the_shapes_of_its_measurement():
         }
 
 
-@pytest.mark.parametrize("measured", [(1, 4, 7), (0, 2, 3, 9), (5,)])
+@pytest.mark.parametrize(
+    "measured", [(1, 4, 7), *(pytest.param(m, marks=pytest.mark.long) for m in ((0, 2, 3, 9), (5,)))]
+)
 def test_measured_frequencies_are_those_of_the_nearest_modes(measured):
     """Some modes of an RV-320E, measured 0.1 % too high: the model of the unit predicts these and no others."""
     observation = rvjax.models.kind(catalogue.RV_320E).observations("dynamics")["frequencies"]

@@ -33,7 +33,7 @@ def lowest(y):
     return min(ends, key=lambda end: end.fun)
 
 
-@pytest.mark.parametrize("reading", [0.6121, 0.6123, 0.6125])
+@pytest.mark.parametrize("reading", [0.6121, *(pytest.param(r, marks=pytest.mark.long) for r in (0.6123, 0.6125))])
 def test_a_mode_where_a_contact_opens(reading):
     """One unit and a batch of two: status CONVERGED, at the minimum that a search without derivatives finds."""
     y = np.array([reading, 0.02])

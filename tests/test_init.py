@@ -245,7 +245,10 @@ def test_what_a_drawing_lacks_is_one_line(drawing, tmp_path, monkeypatch, capsys
     assert re.search(words, said) and len(said.splitlines()) == 1 and not (tmp_path / "mine.toml").exists()
 
 
-@pytest.mark.parametrize("base", ["rv-20e", "rv-40e-whole", "rv-80e", "rv-320e", "corr"])
+SIZES = [pytest.param(base, marks=pytest.mark.long) for base in ("rv-40e-whole", "rv-80e", "rv-320e")]
+
+
+@pytest.mark.parametrize("base", ["rv-20e", *SIZES, "corr"])
 def test_a_study_with_variables_of_every_kind_begins_at_its_design(base):
     """Bounds contain the number at the start; the limits without errors hold there; the space, or the cam, costs 10."""
     made, plain = read(written(base, variables=True).text), read(written(base).text)

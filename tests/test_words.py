@@ -89,7 +89,7 @@ def test_the_docs_are_short():
     assert 10_000 < sum(len(text.split()) for text in texts) <= 20_000
 
 
-PLAIN = ["rvjax", "tests/oracles", "benchmarks", "docs"]
+PLAIN = [pytest.param("rvjax", marks=pytest.mark.long), "tests/oracles", "benchmarks", "docs"]  # the first: a job
 """Folders whose comments, docstrings and messages use the terms of the field."""
 NAMES = re.compile(r"^\s+\w+: |\b[A-Z][A-Z_]+\b|\{[^{}]*\}|^[rf]*['\"][\w.]*(?: \| \w+)*['\"]$", re.MULTILINE)
 """Arguments, constants, expressions, keys."""
