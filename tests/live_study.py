@@ -75,7 +75,8 @@ FEW = dict(points=4, fresh=BLOCK)  # points and independent units that show as m
 @functools.cache
 def played() -> tuple[Answer, response_surface.Surrogate]:
     """The study's answer and response_surface."""
-    with one_start():
+    with one_start(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr("rvjax.commands.allocate.answer.targets", lambda _: [])  # no curve of costs
         found = answer(study.parse_study(PLAY, name="play"))
     assert found.allocation.feasible
     made = response_surface.surrogate(found, **FEW)

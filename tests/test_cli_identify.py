@@ -41,7 +41,7 @@ KNOWN = 4.0 + 2.0 - 1.0 + 3.0  # um, of the only combination of throws that a cu
 NOISE = 1.0 * arcsec
 
 
-def turn(rng, sign, extra=0.0, throw=THROW, samples=1800):
+def turn(rng, sign, extra=0.0, throw=THROW, samples=1000):
     """Angle (deg, uneven) and error (arcsec) of a run: offset 50, mounting 30 at order 1, finer orders than asked."""
     errors = RVErrors.for_design(catalogue.RV_40E, crank_eccentricity=throw, bearing_clearance=PLAY)
     found = four_bar.revolution(catalogue.RV_40E, errors, output_torque=sign * 412.0, angles=16)

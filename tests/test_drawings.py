@@ -131,7 +131,9 @@ CHEAP = CHEAP.partition("[requirement.turn")[0] + "[run]" + CHEAP.partition("[ru
 
 @pytest.fixture(scope="module")
 def answer():
-    found = computed.answer(study.parse_study(CHEAP, name="placed"), measure=False)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(computed, "targets", lambda _: [])  # no curve of costs, a third of the time
+        found = computed.answer(study.parse_study(CHEAP, name="placed"), measure=False)
     assert found.allocation.feasible
     return found
 
