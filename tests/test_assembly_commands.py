@@ -119,6 +119,17 @@ lower = "3 um"
 """
 
 
+def test_large_clearances_are_good_for_a_drive(files):
+    """Limits below and above: the sense of a requirement decides what a plan makes small."""
+    (files / "drive.csv").write_text("kind,id,hole_radius[0] [um]\ndisc,D,1\ncarrier,C,\n")
+    found = {}
+    for limit in ("lower", "upper"):
+        (files / "drive.toml").write_text(DRIVE.replace("lower =", f"{limit} ="))
+        found[limit] = bench(study.load("drive.toml", solve=False), "drive.csv").sense
+    assert found == {"lower": -1, "upper": 1}
+
+
+@pytest.mark.long  # test_mounting.py turns discs and carriers, the sense of the limit is held above
 def test_discs_and_carriers_of_a_drive_are_matched(files, undrawn):
     """Large clearances are good here: every unit, its parts laid by hand as the list says, has the promised one."""
     rng = np.random.default_rng(3)

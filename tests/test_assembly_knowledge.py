@@ -141,6 +141,7 @@ def test_opening():
     assert found.opened({"x": UNIT})["x"].half_width == pytest.approx(3.0 * found.factor)
 
 
+@pytest.mark.long
 def test_opening_with_a_gauge_opens_less():
     requirement = Requirement(upper=1.0)
     kinds = {slot: measured([0.0] * 8, np.zeros(8), 2.0, None) for slot in "ab"}

@@ -92,6 +92,7 @@ def test_a_torque_angle_row_predicts_its_other_half():
     assert found.adequate and np.abs(found.prediction - angle)[odd].max() < 0.06
 
 
+@pytest.mark.long  # test_cli_identify.py finds the same combination
 def test_rv40e_shows_one_combination_of_its_cranks():
     """lambda = 4 (sigma/(4R))^2/noise^2 of e00 - e01 - e10 + e11, beside the offset of the mounting."""
     design, sigma, noise = rvjax.catalogue.RV_40E, 7e-6 / 3, 1.0 * arcsec

@@ -89,7 +89,7 @@ def test_the_area_is_that_of_the_closed_form(design):
     assert area == pytest.approx(due, rel=1e-8)
 
 
-@pytest.mark.parametrize("design", [*EACH, pytest.param(THREE, id="three discs", marks=pytest.mark.long)])
+@pytest.mark.parametrize("design", [*EACH, pytest.param(THREE, id="three discs")])
 def test_all_pins_touch_flanks_without_modifications(design):
     """Every disc on its eccentric, its holes where the carrier is: only then is the phase of its flank right."""
     c = design.cycloid.replace(equidistant_modification=0.0, shift_modification=0.0, profile_modification=None)
@@ -124,6 +124,7 @@ def test_derivatives_of_the_flank(design, name):
     np.testing.assert_allclose(jax.jacfwd(flank)(value), due, atol=1e-6 * np.abs(due).max())
 
 
+@pytest.mark.long  # of points of the flank; test_geometry.py has its curvature
 def test_a_profile_modification_is_material():
     """a_0 cos(f psi) moves the flank towards the pin; curvature against `flank.modified`, of first order."""
     design = DESIGNS["CYCLOIDAL_17"]
@@ -198,6 +199,7 @@ def test_sizes_of_a_unit():
     assert float(x) == pytest.approx(7 * um, rel=1e-9)
 
 
+@pytest.mark.long
 def test_single_precision_and_pictures():
     """The dtype is that of the design; a picture has the same flank, of an undercut design too."""
     design = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), DESIGNS["CYCLOIDAL_17"])

@@ -6,6 +6,7 @@ JavaScript runs where node is installed.
 import json
 import shutil
 import subprocess
+import sys
 from functools import cache
 from importlib import resources
 
@@ -52,7 +53,8 @@ certificate_samples = 20480
 @cache
 def page():
     made = study.parse_study(STUDY, name="x", solve=False)
-    with one_start():
+    with one_start(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys.modules["rvjax.tolerances.allocation.allocate"], "ranges", lambda *_: {})  # not on the page
         found = allocate(
             made.design_response(), made.tolerances, made.requirements | made.nominal, costs=made.costs,
             variables=made.variables, objective={name: price(1.0) for name, price in made.objective.items()},

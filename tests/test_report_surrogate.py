@@ -96,6 +96,7 @@ def test_a_linear_response_is_met_exactly(of_linear):
     np.testing.assert_allclose(found.values("y", X), values, atol=40 * np.finfo(float).eps * np.abs(values).max())
 
 
+@pytest.mark.long  # test_report_live.py measures what is left out of a model
 def test_a_quadratic_response_is_met_to_what_is_left_out():
     """Half-widths and places enter a product of errors bilinearly: bends between all; each column left out moves the
     response by less than 0.2 % of its spread (root mean square), of the 21 at most."""
