@@ -121,7 +121,7 @@ lower = "3 um"
 
 def test_large_clearances_are_good_for_a_drive(files):
     """Limits below and above: the sense of a requirement decides what a plan makes small."""
-    (files / "drive.csv").write_text("kind,id,hole_radius[0] [um]\ndisc,D,1\ncarrier,C,\n")
+    (files / "drive.csv").write_text("kind,id,hole_radius[0] [um],output_pin_radius[0] [um]\ndisc,D,1,\ncarrier,C,,1\n")
     found = {}
     for limit in ("lower", "upper"):
         (files / "drive.toml").write_text(DRIVE.replace("lower =", f"{limit} ="))

@@ -181,9 +181,7 @@ def designed(request, tmp_path_factory):
     (folder / "small.toml").write_text(SMALL if request.param == "one limit" else TWO_LIMITS)
     command = ["design", str(folder / "small.toml"), "--front", "1", "--results", str(folder / "out"), "--quiet"]
     with one_start(), pytest.MonkeyPatch.context() as patch:
-        once(
-            patch, sys.modules["rvjax.tolerances.allocation.allocate"], "ranges"
-        )  # a fifth of the time
+        once(patch, sys.modules["rvjax.tolerances.allocation.allocate"], "ranges")  # a fifth of the time
         code = cli.main(command)
     return code, folder / "out", json.loads((folder / "out" / "result.json").read_text())
 
