@@ -49,7 +49,7 @@ def lighter(answer):
 
 
 class Straight:
-    """The small study with a straight response in the place of its models, with small programs of derivatives.
+    """A study with a straight response in the place of its models, with small programs of derivatives.
 
     For its page: `test_report_live.py` and `test_report_surrogate.py` fit what follows sliders to models.
     """
