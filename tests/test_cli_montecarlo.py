@@ -73,6 +73,7 @@ def test_a_batch_prints_and_writes_its_figures(here, capsys, expected):
     assert told["values"] is None and told["name"] == "small" and told["yield_"]["lost_motion"]["lower"] > 0
 
 
+@pytest.mark.long  # test_cli_distributed.py has threads in the place of processes
 def test_two_processes_on_one_machine(here, capfd, expected):
     command = "montecarlo small.toml --samples 5000 --seed 4 --chunk 1000 --processes 2 --checkpoint c --save a.npz"
     code, said = cli.main(command.split()), capfd.readouterr().err

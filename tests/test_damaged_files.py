@@ -80,7 +80,7 @@ LIES = {
     "boasting": (boast, "shorter than its shape"),
     "cut": (lambda c: c[:-100], "not a zip file"),
     "empty": (lambda c: b"", "not a zip file"),
-    "larger than any": (lambda c: c + bytes(3 * 2**25), "bytes, a checkpoint of this study"),
+    "larger than any": (lambda c: c + bytes(3 * 2**26), "bytes, a checkpoint of this study"),
     "one bit": (lambda c: c.replace(b"seen.npy", b"sein.npy"), "not those that were written|other arrays|differ"),
     "digest": (lambda c: changed(c, digest="0"), "not those that were written"),
     "next chunk": (lambda c: changed(c, chunks=np.array([[0, 4]])), "counts of 3000 units, not of 4000"),
