@@ -57,7 +57,7 @@ nominal_lower = "23.5 mm"
 samples = 2048
 certificate_samples = 20480
 """  # of which 205 may fail, so that counts certify and no rare units are sought
-# Both limits bind, and slopes do not lead the search to its optimum: twenty times the time.
+# Both limits bind, and slopes do not lead the search to its optimum.
 TWO_LIMITS = SMALL.replace("-1 um", "-20 um").replace('"1 um"\n[objective', '"20 um"\n[objective')
 TWO_LIMITS = TWO_LIMITS.replace("[requirement.lost_motion]", '[requirement.lost_motion]\nlower = "-0.6 arcmin"')
 
