@@ -44,6 +44,7 @@ def test_allocate_answers(answered):
     assert result["cost"]["after"] < 0.8 * result["cost"]["before"]
     certificate = result["certificate"]
     assert certificate["samples"] == UNITS and certificate["failed"] == 0
+    assert certificate["values"] is result["certificate_before"]["values"] is None  # single units are in answer.npz
     assert result["certificate_before"]["seed"] == certificate["seed"] > result["seed"]
     for estimate in certificate["yield_"].values():
         assert TARGET <= estimate["lower"] <= estimate["value"] <= estimate["upper"] < 0.996
