@@ -6,6 +6,7 @@ integrals of the normal law over b (Gauss and Legendre). The least cost for a sh
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -87,15 +88,20 @@ class Case:
         widths = np.exp(x[: len(self.scales)])
         return float(np.dot(self.scales, REFERENCE / widths) + self.moving * abs(x[3]) + self.own * x[4])
 
-    def price(self, share: float) -> float:
-        """Price of both limits moving outwards, by differences of the least cost; of steps by whole ones."""
+    def price(self, share: float, near: np.ndarray) -> float:
+        """Price of both limits moving outwards by a little, of steps by whole ones: differences of the least cost.
+
+        Args:
+            share: of good units.
+            near: vector of the least cost for this share.
+        """
         ends, (low, high) = [], self.limits
         for by in (-self.made.get("step", 1e-3), self.made.get("step", 1e-3)):
-            ends.append((dataclasses.replace(self, limits=(low - by, high + by)).least(share)[0], by))
+            ends.append((dataclasses.replace(self, limits=(low - by, high + by)).least(share, [near])[0], by))
         return (ends[1][0] - ends[0][0]) / (ends[1][1] - ends[0][1])
 
-    def least(self, share: float) -> tuple[float, np.ndarray]:
-        """Least cost with a share of good units, and its vector."""
+    def least(self, share: float, starts: Sequence[np.ndarray] = ()) -> tuple[float, np.ndarray]:
+        """Least cost with a share of good units, and its vector; from two places, or from vectors that are near it."""
         bounds = [(math.log(FINEST), math.log(COARSEST))] * 3 + [self.middle or (0.0, 0.0), self.number or (1.0, 1.0)]
         bounds[len(self.scales) : 3] = [(math.log(self.start),) * 2] * (3 - len(self.scales))
         deviate = stats.norm.ppf(share)
@@ -103,9 +109,8 @@ class Case:
             "type": "ineq",
             "fun": lambda x: stats.norm.ppf(min(max(self.share(np.exp(x[:3]), *x[3:]), 1e-12), 1 - 1e-12)) - deviate,
         }
-        ends = []
-        for part in (0.3, 0.6):
-            start = np.array([math.log(0.2)] * 3 + [low + part * (high - low) for low, high in bounds[3:]])
+        ends, ways = [], [[low + part * (high - low) for low, high in bounds[3:]] for part in (0.3, 0.6)]
+        for start in starts or [np.array([math.log(0.2)] * 3 + way) for way in ways]:
             ends.append(optimize.minimize(self.cost, start, bounds=bounds, constraints=[met], method="SLSQP",
                                           options=dict(ftol=1e-10, maxiter=300)))  # fmt: skip
         good = [end for end in ends if met["fun"](end.x) > -1e-5]

@@ -46,7 +46,7 @@ class Rare(Record):
 
 
 @pytest.fixture(scope="module")
-def few_units():
+def few_units(thorough):
     """Allocations with another slope to a in rare units, of which a sample has a dozen."""
 
     @one_start()
@@ -57,13 +57,13 @@ def few_units():
             costs=dict.fromkeys("ab", COST), variables={"arm": Variable(0.4, 3.0, 2.0)}, certificate_samples=UNITS,
         )  # fmt: skip
 
-    return {slope: found(slope) for slope in (1.0, 10.0)}
+    return {slope: found(slope) for slope in ((1.0, 10.0) if thorough else (10.0,))}
 
 
 def test_a_certified_cost_far_above_the_learned_one_is_not_optimal(few_units):
     for found in few_units.values():
         assert (found.status == "SUBOPTIMAL") == (found.cost > 1.2 * found.learned)
-    assert few_units[1.0].status == "OPTIMAL"
+    assert 1.0 not in few_units or few_units[1.0].status == "OPTIMAL"
 
 
 def beyond(a, b, slope, lever=1.0):
@@ -80,7 +80,7 @@ def least_cost(share, slope):
     ).fun
 
 
-@pytest.mark.parametrize("slope", [1.0, 10.0])
+@pytest.mark.parametrize("slope", [pytest.param(1.0, marks=pytest.mark.long), 10.0])
 def test_certificates_correct_what_few_units_taught(few_units, slope):
     """The true share keeps the target, at a cost within 10 % of the least that a certificate shows for certain."""
     found = few_units[slope]
@@ -90,6 +90,7 @@ def test_certificates_correct_what_few_units_taught(few_units, slope):
     assert least_cost(TARGET, slope) < found.cost < 1.1 * least_cost(certain, slope)
 
 
+@pytest.mark.long  # test_tolerances_allocation.py has them without a number of the design
 def test_units_too_few_for_any_certificate_certify_nothing():
     """1000 units without a reject show a share of 1000/1003.84 = 99.62 %, not 99.73 %."""
     found = levered(samples=256, certificate_samples=1000, joint_target=0.9973)

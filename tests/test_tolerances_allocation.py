@@ -99,12 +99,14 @@ def test_progress_names_its_phases(capsys):
     assert said.index("compiling") < said.index("searching") < said.index("certifying: 100%")
 
 
+@pytest.mark.long  # test_tolerances_optimality.py starts far away
 def test_the_start_does_not_matter(optimum):
     start = {"a": Tolerance.symmetric(400 * um), "b": Tolerance.symmetric(1 * um)}
     found = allocate(linear, start, BOTH, **CERTIFIED)
     assert found.history[-1]["half_widths"] == pytest.approx(optimum.history[-1]["half_widths"], rel=0.02)
 
 
+@pytest.mark.long  # test_tolerances_allocation_bounds.py has four fields
 def test_a_bound_holds_one_field():
     """The rest of the spread is left to a; its half-width is 3.6 times as sensitive to the yield as the sum."""
     assert closed_form(0.9973)["b"] < 8.5 * um
@@ -127,12 +129,14 @@ def test_infeasible_says_by_how_much():
     assert found.multipliers == 0.0
 
 
-def test_two_requirements_and_an_idle_one():
+def test_two_requirements_and_an_idle_one(thorough):
+    """The idle one runs by default in test_tolerances_cost_curve.py, too."""
     requirements = {"y": Requirement(lower=-LIMIT, upper=LIMIT), "b": Requirement(upper=1.0)}
-    found = allocate(two, PAIR, requirements, **CERTIFIED)
-    assert found.multipliers["b"] == 0.0
-    assert found.multipliers["y"] < 0.0
-    assert found.shortfall == {"y": 0.0, "b": 0.0}
+    if thorough:
+        found = allocate(two, PAIR, requirements, **CERTIFIED)
+        assert found.multipliers["b"] == 0.0
+        assert found.multipliers["y"] < 0.0
+        assert found.shortfall == {"y": 0.0, "b": 0.0}
     # Now |b| <= 10 um binds as well: b is fixed by it, a by the other.
     tight = {"y": requirements["y"], "b": Requirement(upper=6 * um)}
     found = allocate(two, PAIR, tight, **CERTIFIED)
@@ -147,6 +151,7 @@ def test_two_requirements_and_an_idle_one():
     assert found.multipliers == pytest.approx(slopes, rel=0.1)
 
 
+@pytest.mark.long  # test_tolerances_search.py has the optimum of a joint target
 def test_joint_target_costs_more():
     requirements = {
         "y": Requirement(lower=-LIMIT, upper=LIMIT, target=0.99),
@@ -286,10 +291,12 @@ def test_failed_units_count_as_rejects():
     assert hopeless.shortfall == math.inf  # no limit is wide enough for units that do not exist
 
 
-def test_few_steps_and_few_certificate_units():
-    found = allocate(linear, PAIR, BOTH, max_steps=1, **CERTIFIED)
-    assert found.status == "MAX_STEPS"
-    assert found.certificate.yield_.lower >= 0.9973
+def test_few_steps_and_few_certificate_units(thorough):
+    """Few steps run by default in test_tolerances_search.py."""
+    if thorough:
+        found = allocate(linear, PAIR, BOTH, max_steps=1, **CERTIFIED)
+        assert found.status == "MAX_STEPS"
+        assert found.certificate.yield_.lower >= 0.9973
     joint = dict(joint_target=0.9973, certificate_samples=1000)  # 1000/1003.84 < 0.9973
     found = allocate(linear, PAIR, BOTH, **(CERTIFIED | joint))
     assert found.status == "NOT_CERTIFIED"

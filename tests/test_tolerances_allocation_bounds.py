@@ -94,7 +94,7 @@ def later(*seeds):
     return [pytest.param(seed, marks=pytest.mark.long) for seed in seeds]
 
 
-@pytest.mark.parametrize("seed", [*range(4), *later(*range(4, 12))])
+@pytest.mark.parametrize("seed", [1, *later(0, *range(2, 12))])
 def test_active_bounds(seed):
     costs, limits, target = problem(seed)
     certified(allocated(costs, limits, target), costs, limits, target, 1.01)
@@ -112,7 +112,7 @@ def cheapest_grades(costs, sizes, limits, share):
 
 
 @pytest.mark.parametrize(
-    ("seed", "units"), [(8, 200_000), *(pytest.param(seed, UNITS, marks=pytest.mark.long) for seed in (4, 9))]
+    ("seed", "units"), [pytest.param(*row, marks=pytest.mark.long) for row in ((8, 200_000), (4, UNITS), (9, UNITS))]
 )
 def test_the_cheapest_grades_by_brute_force(seed, units):
     """Grades one by one coarser end up to 15 % dearer; the exchange of four grades at once is needed for seed 8."""

@@ -86,8 +86,13 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize("costly", [False, True])
-@pytest.mark.parametrize("kind", KINDS)
+BOTH_WAYS = [
+    *(pytest.param(kind, costly, marks=[pytest.mark.long] * (kind == "worst case" and costly))  # the same ends
+      for kind in KINDS for costly in (False, True)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "costly"), BOTH_WAYS)
 def test_derivatives_are_differences_of_used_ways(kind, costly):
     required, more, near = KINDS[kind]
     made = constraints(required, costly=costly, samples=1024 if costly else 4096, **more)
@@ -193,12 +198,13 @@ class Two(One):
     """Costly units of two parts with equal values."""
 
     def parts(self):
-        return [One("y"), One("w")]
+        return PARTS_OF_TWO
 
     def __call__(self, errors, values):
         return One("y")(errors, values) | One("w")(errors, values)
 
 
+PARTS_OF_TWO = [One("y"), One("w")]
 FAR = dict(y=Requirement(upper=0.4, target=0.99), w=Requirement(upper=2.0, target=0.99))
 """Limits of the two parts, of which the second one does not decide."""
 

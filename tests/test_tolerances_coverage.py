@@ -43,10 +43,14 @@ def test_the_mean_of_sixteen_groups_of_any_law(law):
         assert np.mean(off <= student(0.95, 16)) < least(RUNS)
 
 
-@pytest.mark.parametrize("law", [stats.norm(), stats.expon(), stats.uniform()], ids=["normal", "exponential", "even"])
-@pytest.mark.parametrize("streams", [1, 16])
-def test_mean_and_sd_of_any_law(law, streams):
+LAWS = {"normal": stats.norm(), "exponential": stats.expon(), "even": stats.uniform()}
+DEALT = [pytest.param(16, name, marks=[pytest.mark.long] * (name != "exponential")) for name in LAWS]
+
+
+@pytest.mark.parametrize(("streams", "name"), [*((1, name) for name in LAWS), *DEALT])
+def test_mean_and_sd_of_any_law(streams, name):
     """Independent units, in one stream or dealt out to 16."""
+    law = LAWS[name]
     runs = RUNS if streams == 1 else 300
     values = law.rvs((runs, 512), random_state=np.random.default_rng(1))
     seen = [
@@ -66,6 +70,7 @@ def test_an_interval_moves_towards_the_long_tail():
     assert even.upper == pytest.approx(special.ndtri(0.975) * even.error, rel=1e-4)
 
 
+@pytest.mark.long  # honest errors, and parts that fail each in its own way: test_tolerances_failure.py
 def test_failures_of_eight_parts():
     """Twelve seeds: of 12 intervals of 95 %, fewer than 9 hold the truth in 2 of 1000 cases."""
     response, eight = lambda e: jnp.max(e["v"]), {"v": Tolerance.symmetric(3.0, shape=(8,))}
@@ -137,7 +142,10 @@ def rare(share, flipped):
     return 1 - share.value if flipped else share.value
 
 
-@pytest.mark.parametrize("place", PLACES)
+LATER = ("a ring", "both sides", "infinite but for few")  # like a shell, both tails and no value
+
+
+@pytest.mark.parametrize("place", [pytest.param(p, marks=[pytest.mark.long] * (p in LATER)) for p in PLACES])
 def test_rare_units_anywhere(place):
     """Both estimates: the first to 4 of its standard errors and 10 %, the second to a factor of 2.5 (4 of its 20 %)."""
     response, numbers, need, exact = PLACES[place]
@@ -203,8 +211,11 @@ def shell(z):
 @pytest.mark.parametrize(
     ("path", "numbers", "exact"),
     [(Spreads(lambda z: (z**2).sum(axis=0) < 0.04, (0.5, 0.25, 2.0**-4)), 5, within(5, 0.2)),
-     (Spreads(lambda z: (z**2).sum(axis=0) < 6.25, (0.5,)), 33, within(33, 2.5)),
-     (Spreads(lambda z: abs(z.sum(axis=0)) < 1e-4, (0.5, 2.0**-8, 2.0**-16)), 5, 2 * special.ndtr(1e-4 / 5**0.5) - 1),
+     pytest.param(Spreads(lambda z: (z**2).sum(axis=0) < 6.25, (0.5,)), 33, within(33, 2.5), marks=pytest.mark.long),
+     pytest.param(
+         Spreads(lambda z: abs(z.sum(axis=0)) < 1e-4, (0.5, 2.0**-8, 2.0**-16)), 5, 2 * special.ndtr(1e-4 / 5**0.5) - 1,
+         marks=pytest.mark.long,
+     ),
      (Levels(shell, lambda z: shell(z) > 0), 5, within(5, 5.2) - within(5, 5.0)),
      (Levels(lambda z: z[0] - 4.5, lambda z: z[0] > 4.5), 5, stats.norm.sf(4.5))],
     ids=["ball", "ball of many numbers", "slab", "shell", "far"],

@@ -72,12 +72,12 @@ def test_an_error_without_a_cost_moves_too_and_ranges_hold():
     assert float(result.tolerances["a"].middle) == 0.0
 
 
-def test_a_moved_middle_can_meet_what_no_half_width_meets():
+def test_a_moved_middle_can_meet_what_no_half_width_meets(thorough):
     far = Tolerance(3.5, 4.5)
     assert found(None, tolerance=far).status == "INFEASIBLE"
     result = found({"a": Middle(-3.0, 5.0)}, tolerance=far)
     assert reached(result)[0] == pytest.approx(0.5, abs=0.01)
-    assert found({"a": Middle(3.0, 5.0)}, tolerance=far).status == "INFEASIBLE"
+    assert not thorough or found({"a": Middle(3.0, 5.0)}, tolerance=far).status == "INFEASIBLE"
 
 
 @pytest.mark.parametrize(
@@ -101,6 +101,7 @@ def test_bad_ranges_and_laws_that_do_not_move():
         found({"a": Middle(0.0, 1.0)}, tolerance=measured)
 
 
+@pytest.mark.long  # test_tolerances_finest.py has the half-widths, and the first test the mid-point
 def test_a_middle_moves_where_finer_is_not_better():
     """Error b takes up play as in `test_finer_need_not_be_better`; the limits of the sum lie about 0.3, where a free
     middle of a puts it: the half-widths, and their bounds, are those of the symmetric case."""

@@ -131,7 +131,10 @@ def test_frequent_failures(limit):
     [
         # Every phase is equally bad; the other numbers are idle.
         (Squares(np.isin(np.arange(33), (0, 7)) * 1.0, 0.5), MANY, Requirement(upper=5.0), math.exp(-12.5), 5.0),
-        (Squares((np.arange(33) < 3) * 1.0), MANY, Requirement(upper=25.0), stats.chi2.sf(25, 3), 5.0),
+        pytest.param(
+            *(Squares((np.arange(33) < 3) * 1.0), MANY, Requirement(upper=25.0), stats.chi2.sf(25, 3), 5.0),
+            marks=pytest.mark.long,
+        ),
         # c (1 + L + L^2/2) with L = ln(1/c); the limit bends away from its nearest point along three arms.
         (
             lambda e: e["a"] * e["b"] * e["c"],
@@ -141,12 +144,13 @@ def test_frequent_failures(limit):
             -stats.norm.ppf(1e-2) * math.sqrt(3),
         ),
         # Squares of Rayleigh magnitudes are exponential, their sum follows a gamma law.
-        (
+        pytest.param(
             lambda e: (e["a"] ** 2 + e["b"] ** 2) / 2,
             dict.fromkeys("ab", Tolerance(0.0, 3.0, distribution="rayleigh")),
             Requirement(upper=16.0),
             stats.gamma.sf(16, 2),
             None,
+            marks=pytest.mark.long,
         ),
         # The corner of a square: y has a kink and its slope in z dies out towards the edges.
         (
@@ -184,6 +188,7 @@ def test_a_failure_that_plain_units_do_not_foretell():
     assert (found.points, found.status) == (2, "SEVERAL_POINTS")
 
 
+@pytest.mark.long  # rare units of many numbers: test_tolerances_coverage.py
 def test_many_numbers():
     many = {"v": Tolerance.symmetric(3.0, shape=(100,))}
     found = failure_probability(lambda e: jnp.sum(e["v"]) / 10, many, Requirement(upper=6.0), samples=10_000, seed=0)
@@ -304,7 +309,10 @@ ALIKE = {
 }
 
 
-@pytest.mark.parametrize("case", [pytest.param(c, marks=[pytest.mark.long] * (c == "maximum of 64")) for c in ALIKE])
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(c, marks=[pytest.mark.long] * (c in ("maximum of 64", "largest of 33, either sign"))) for c in ALIKE],
+)
 def test_every_part_has_its_own_failure(case):
     response, fields, limit, ways = ALIKE[case]
     exact = -math.expm1(ways * stats.norm.logcdf(4.5))

@@ -64,7 +64,10 @@ CASES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", CASES)
+LATER = ("square of a uniform number", "product", "product about a mean")
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.long] * (name in LATER)) for name in CASES])
 def test_intervals_of_a_hundred_units_contain_the_share(name):
     function, tolerances, exact = CASES[name]
     found = [influences(function, tolerances, seed=seed, units=influence.COSTLY_UNITS)[""] for seed in range(SEEDS)]

@@ -36,7 +36,7 @@ def counted(monkeypatch):
 
 
 def found(kept):
-    return allocate(linear, PAIR, NEED, costs=COSTS, samples=512, certificate_samples=2048, memo=kept)
+    return allocate(linear, PAIR, NEED, costs=COSTS, samples=512, certificate_samples=2048, memo=kept, max_steps=3)
 
 
 def test_an_interrupted_allocation_resumes_to_the_same_bits(counted, tmp_path):

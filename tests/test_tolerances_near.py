@@ -172,6 +172,9 @@ def test_a_slope_takes_the_state_of_its_own_unit(monkeypatch):
     assert len(seen) == 2 and len(missing) == 1 and 0 < missing[0] < len(seen[1][0])
 
 
+BOTH_PARTS = Two("both")  # one program for all
+
+
 def allocated(need, seed=0):
     """The cheapest half-widths of two costly parts with equal values, and the units of each that tests solved."""
     solved, tests, solve, test = Counter(), Counter(), Part.solve, Certifier.test
@@ -189,7 +192,7 @@ def allocated(need, seed=0):
 
     with mock.patch.object(Part, "solve", counted), mock.patch.object(Certifier, "test", tested):
         found = allocate(
-            Two("both"), dict.fromkeys("ab", Tolerance.symmetric(0.1)), need,
+            BOTH_PARTS, dict.fromkeys("ab", Tolerance.symmetric(0.1)), need,
             samples=512, certificate_samples=8192, seed=seed,
             costs=dict.fromkeys("ab", ReciprocalPower(reference=0.3, finest=0.02, coarsest=3.0)),
             variables={"d": Variable(0.99, 1.01, 1.0)},
@@ -205,7 +208,7 @@ def test_a_certificate_solves_the_parts_that_do_not_decide_at_the_end_alone():
     assert found.margin_slopes["w"]["a"] > 0
 
 
-@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.long)])
 def test_a_limit_that_was_set_aside_and_decides_is_searched_again(monkeypatch, seed):
     """As if the search had not seen that the limit decides: its few units promise too much."""
     spare = Constraints.spare

@@ -49,7 +49,7 @@ def stepped(size):
     return lambda e: jnp.ceil(jnp.abs(linear(e)) / size) * size
 
 
-@pytest.mark.long  # failures beside a capability, and as rejects in test_tolerances_allocation.py, run by default
+@pytest.mark.long  # as rejects in test_tolerances_allocation.py they run by default
 def test_units_that_fail_bind_a_field():
     found = allocate(FRAGILE, PAIR, Requirement(lower=-LIMIT, upper=LIMIT, target=0.99), **OPTIONS)
     a, b = (2 * stats.norm.cdf(3 * edge / found.half_widths[n]) - 1 for n, edge in (("a", LIMIT), ("b", EDGE)))
@@ -64,8 +64,11 @@ def test_a_response_in_steps_whose_limit_has_a_price(size):
     limit = 20 * um + size / 20 * um
     found = allocate(stepped(size * um), PAIR, Requirement(upper=limit, target=0.99), **OPTIONS)
     reached = share(found.half_widths, 20 * um)
+    assert found.evaluations["sample"] >= 16_384  # twice those of a search by slopes: along rays
     assert found.status == "OPTIMAL" and 0 < above(reached, 0.99, UNITS) < 5
     assert found.cost < 1.005 * closed_cost(reached, 20 * um)
+    tried = {look["cost"]: look["margins"]["response"] for look in found.history}
+    assert tried[found.learned] <= 0.0 and min(tried) < found.learned  # others were cheaper, and refused
     step = (closed_cost(0.99, (20 + size) * um) - closed_cost(0.99, 20 * um)) / (size * um)
     assert 3 * step < found.multipliers < step / 3 < 0
 
@@ -84,6 +87,7 @@ def test_wide_and_narrow_starts(start):
     assert found.cost < 1.002 * closed_cost(reached)
 
 
+@pytest.mark.long  # failed units: a row in test_tolerances_constraints.py, a rule in test_tolerances_requirements.py
 def test_failures_beside_a_capability():
     """Cpk of the valid units binds a, known to 1/sqrt(2 n); fewer than 0.27 % may fail, and that alone binds b."""
     found = allocate(FRAGILE, PAIR, CpkAtLeast(lower=-LIMIT, upper=LIMIT, cpk=1.0), **OPTIONS)
@@ -129,7 +133,13 @@ def test_a_worst_case_is_judged_by_limits_not_by_units():
     assert not monte_carlo(failing, wide, samples=16, seed=0, requirements=WorstCaseWithin(upper=1.0)).verdicts.met
 
 
-@pytest.mark.parametrize("name", ["shaft and housing, worst case", "shaft and housing, root sum squares"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("shaft and housing, worst case", marks=pytest.mark.long),  # as arithmetic limits, above
+        "shaft and housing, root sum squares",
+    ],
+)
 def test_an_optimum_in_print(name):
     """Printed to a cent, from tolerances rounded to 1e-5 in."""
     case = CASES[name]()
@@ -155,11 +165,12 @@ def test_a_hinge_pin_enters_both_leaves():
     certified(CASES["hinge of two leaves"](), pin_hinge, 1.002)
 
 
-def test_many_fields_of_unlike_cost():
-    """A slope by the 512 units near the limit errs by sqrt(fields/units)/1.75 = 14 %, a half-width by a third of that,
-    and the cost by 1.5 squares: 0.35 %. The model of the slopes leaves nearly nothing of it.
+@pytest.mark.parametrize("count", [12, pytest.param(32, marks=pytest.mark.long)])
+def test_many_fields_of_unlike_cost(count):
+    """A slope by the 512 units near the limit errs by sqrt(fields/units)/1.75 = 14 % with 32 fields, a half-width by a
+    third of that, and the cost by 1.5 squares: 0.35 %. The model of the slopes leaves nearly nothing of it.
     """
-    certified(many_fields(32), lambda share: many_fields(32, target=share))
+    certified(many_fields(count), lambda share: many_fields(count, target=share))
 
 
 def test_the_ends_of_a_range_grow_with_the_half_widths():

@@ -114,7 +114,7 @@ def test_plain_functions_are_released(monkeypatch):
 
 def test_every_question_serves_the_next_design_with_the_same_programs(compiled):
     limits, cost = Requirement(upper=40.0, target=0.99), ReciprocalPower(finest=0.1, coarsest=9.0, reference=1.0)
-    priced = dict(costs={"a": cost, "b": cost}, samples=512, certificate_samples=1000)
+    priced = dict(costs={"a": cost, "b": cost}, samples=512, certificate_samples=1000, max_steps=2)
 
     def ask(design):
         monte_carlo(design, PAIR, samples=100, seed=0, requirements=limits)

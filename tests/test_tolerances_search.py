@@ -24,6 +24,8 @@ from rvjax.tolerances.batch.run import Run
 from tests.oracles.linear_pair import COSTS, LIMIT, PAIR, closed_cost, linear, share, two
 
 LINE = CASES["line"]
+SOON = dict(requirements={"y": Requirement(lower=-1.0, upper=1.0, target=0.9)}, samples=512, certificate_samples=4096)
+"""A target for which 512 units are enough: for tests of certificates."""
 
 
 def solved(case=LINE, costly=True, **changes):
@@ -35,7 +37,9 @@ def reached(found, case=LINE):
     return case.share(np.array(list(found.half_widths.values())))
 
 
-@pytest.mark.parametrize(("target", "last"), [(0.9, 512), (0.98, 2048), (0.998, 16_384)])
+@pytest.mark.parametrize(
+    ("target", "last"), [(0.9, 512), (0.98, 2048), pytest.param(0.998, 16_384, marks=pytest.mark.long)]
+)
 def test_a_sample_of_costly_units_grows_until_enough_lie_beyond_each_limit(target, last, monkeypatch):
     """At least 40 of the last one, whatever the least that is asked for; every larger one holds those before."""
     counts, take = [], Constraints.sample
@@ -58,7 +62,7 @@ def test_a_sample_of_costly_units_grows_until_enough_lie_beyond_each_limit(targe
 def test_certificates_are_of_one_sample_that_no_search_has_seen(monkeypatch):
     seeds, made = [], Run.statistics
     monkeypatch.setattr(Run, "statistics", lambda self: seeds.append((self.seed, self.samples)) or made(self))
-    found = solved(seed=5)
+    found = solved(seed=5, **SOON)
     assert len(seeds) > 1 and len(set(seeds)) == 1 and seeds[0][0] == found.certificate.seed == 6
 
 
@@ -66,7 +70,7 @@ def test_certificates_are_of_one_sample_that_no_search_has_seen(monkeypatch):
 def test_certificate_units_are_not_added_once_a_certificate_was_drawn(drawn, times, monkeypatch):
     made, full = [], search.Search.certified
     monkeypatch.setattr(search.Search, "certified", lambda self, end: made.append((self, end)) or full(self, end))
-    found = solved(certificate_samples=4096)
+    found = solved(**SOON)
     own, end = made[0]
     own.certifier.drawn, before = drawn, own.problem.run.samples
     own.certifier.run = own.problem.run
@@ -92,7 +96,7 @@ def test_after_a_miss_the_wanted_rejects_are_those_of_the_result(monkeypatch):
     looser = lambda self, constraints, *_: (1.2 * constraints.rejects, constraints.moved)  # noqa: E731
     monkeypatch.setattr(Certifier, "corrected", looser)
     monkeypatch.setattr(search.Search, "certified", end)
-    solved()
+    solved(**SOON)
     (constraints, _, best), (x, rejects) = ends[0], seen[0]
     assert len(seen) > 1 and (best.look.x == x).all()
     assert (constraints.rejects == rejects).all() and (seen[-1][1] != rejects).any()
@@ -116,7 +120,7 @@ def test_between_a_certificate_that_holds_and_one_that_misses_all_limits_move_ha
     monkeypatch.setattr(Certifier, "holds", lambda self, statistics: shares[-1] <= 1.15 * shares[0])
     looser = lambda self, constraints, *_: (1.5 * constraints.rejects, constraints.moved)  # noqa: E731
     monkeypatch.setattr(Certifier, "corrected", looser)
-    solved()
+    solved(**SOON)
     assert np.array(shares[:4]) / shares[0] == pytest.approx([1, 1.5, 1.5**0.5, 1.5**0.25])
 
 
@@ -129,7 +133,7 @@ def test_a_certificate_that_holds_after_one_that_missed_stays_below_it(monkeypat
         return (0.5 if len(shares) == 1 else 3.0) * constraints.rejects, constraints.moved
 
     monkeypatch.setattr(Certifier, "corrected", corrected)
-    solved()
+    solved(**SOON)
     assert np.array(shares[:3]) / shares[0] == pytest.approx([1, 0.5, 0.5**0.5])
 
 
@@ -137,7 +141,7 @@ def test_each_certificate_that_misses_aims_one_unit_farther_inside(monkeypatch):
     """Else limits that fail in turn, by a unit each, would use up all certificates."""
     shares = recorded(monkeypatch)
     monkeypatch.setattr(Certifier, "holds", lambda self, statistics: False)
-    count = solved().certificate.samples
+    count = solved(**SOON).certificate.samples
     farther = (shares[1] - shares[-1]) * count  # the first correction is that of the sample
     assert len(shares) == TESTS and 0.5 < farther / (TESTS - 2) < 2
 
@@ -155,10 +159,14 @@ def test_certificate_units_are_chosen_before_the_largest_sample(monkeypatch):
     assert counts == [4096, 16_384]
 
 
-def test_more_certificate_units_are_drawn_where_they_save_more_than_they_cost():
+def test_more_certificate_units_are_drawn_where_they_save_more_than_they_cost(thorough):
     """1000 units want a share of 99.7 %, which costs 15 %; each doubling saves a third of it. 50,000 are enough."""
-    few, many = (solved(certificate_samples=count) for count in (1000, 50_000))
-    assert 2000 <= few.certificate.samples <= 4000 and many.certificate.samples == 50_000
+    few = solved(certificate_samples=1000)
+    assert 2000 <= few.certificate.samples <= 4000
+    if not thorough:
+        return
+    many = solved(certificate_samples=50_000)
+    assert many.certificate.samples == 50_000
     assert many.cost < few.cost and many.learned == pytest.approx(few.learned, rel=0.02)
 
 
@@ -170,8 +178,10 @@ def test_a_certificate_of_few_units_makes_a_result_dearer_than_what_was_learned(
     assert found.certificate.samples == 400 and found.certificate.verdicts["y"].met and reached(found) > 0.99
 
 
-@pytest.mark.parametrize("costly", [False, True])
-@pytest.mark.parametrize("most", [1, 3])
+@pytest.mark.parametrize(
+    ("most", "costly"),
+    [(1, False), (1, True), *(pytest.param(3, costly, marks=pytest.mark.long) for costly in (False, True))],
+)
 def test_few_steps_are_no_optimum(costly, most):
     """Each run of the search ends after so many looks. What is returned holds its certificate."""
     found = solved(costly=costly, max_steps=most)
@@ -203,7 +213,8 @@ def test_an_interrupted_search_of_costly_units_goes_on_to_the_same_bits(monkeypa
         return solve(*arguments)
 
     monkeypatch.setattr(Part, "solve", counted)
-    found = lambda memo: solved(samples=512, certificate_samples=1024, memo=memo)  # noqa: E731
+    own = dict(samples=512, certificate_samples=1024, max_steps=3)
+    found = one_start()(lambda memo: solved(CASES["line, number"], memo=memo, **own))
     whole, total = found(None), calls[0]
     calls[0], stop[0] = 0, total // 2
     with pytest.raises(KeyboardInterrupt):
@@ -215,6 +226,7 @@ def test_an_interrupted_search_of_costly_units_goes_on_to_the_same_bits(monkeypa
     assert again.certificate.yield_ == whole.certificate.yield_
 
 
+@pytest.mark.long  # quick ones: test_tolerances_allocation.py; those of an interrupted run, above
 @pytest.mark.parametrize("costly", [False, True])
 def test_the_same_seed_gives_the_same_bits_and_another_one_the_same_optimum(costly):
     case = CASES["line, number"]
@@ -225,19 +237,19 @@ def test_the_same_seed_gives_the_same_bits_and_another_one_the_same_optimum(cost
     assert other.history != one.history and other.learned == pytest.approx(one.learned, rel=0.06 if costly else 0.02)
 
 
-def test_single_precision_finds_the_same_optimum():
+def test_single_precision_finds_the_same_optimum(thorough):
     """Numbers of units in float32, as without `rvjax.enable_x64`."""
     jax.config.update("jax_enable_x64", False)
     try:
-        found = [solved(costly=costly) for costly in (False, True)]
+        found = [solved(costly=costly) for costly in ((False, True) if thorough else (False,))]
         with one_start():
-            numbers = solved(CASES["line, number"], False)
+            numbers = solved(CASES["line, number"], False) if thorough else None
     finally:
         jax.config.update("jax_enable_x64", True)
     for item in found:
         assert item.status == "OPTIMAL" and reached(item) > 0.99
         assert item.cost < 1.004 * LINE.least(reached(item))[0]
-    assert numbers.status == "OPTIMAL" and numbers.values["d"] == pytest.approx(1.0, abs=0.05)
+    assert numbers is None or (numbers.status == "OPTIMAL" and numbers.values["d"] == pytest.approx(1.0, abs=0.05))
 
 
 @pytest.mark.parametrize(("lower", "holds"), [(0.9899, False), (0.99, True)])

@@ -84,6 +84,7 @@ def test_errors_are_honest():
         assert abs(values.mean() - exact) < 4 * values.std(ddof=1) / math.sqrt(40)
 
 
+@pytest.mark.long  # the closed forms run by default
 def test_salib_finds_the_same(of_ishigami):
     """SALib with its own scrambled points on the same function."""
     analyze = pytest.importorskip("SALib.analyze.sobol")

@@ -25,7 +25,7 @@ from rvjax.tolerances import (
     allocate,
     monte_carlo,
 )
-from rvjax.tolerances.allocation import programme
+from rvjax.tolerances.allocation import programme, search
 from rvjax.tolerances.allocation.certificate import Certifier
 from rvjax.tolerances.allocation.grades import Grades
 from rvjax.tolerances.allocation.programme import STATIONARY
@@ -49,15 +49,15 @@ def test_optimal_needs_every_part_of_the_promise():
     share, statistic = SimpleNamespace(share=True, nominal=False), SimpleNamespace(share=False, nominal=False)
     for flags in itertools.product((True, False), repeat=8):
         certified, exact, dear, settled, near, rays, loss, mean = flags
-        search = SimpleNamespace(
+        made = SimpleNamespace(
             certifier=SimpleNamespace(holds=lambda seen, c=certified: c),
             constraints=SimpleNamespace(missed=lambda look, e=exact: -1.0 if e else 1e-6),
             problem=SimpleNamespace(losses={"y": 1} if loss else {}), rays=object() if rays else None,
         )  # fmt: skip
-        search.constraints.rows = [share, statistic] if mean else [share]
+        made.constraints.rows = [share, statistic] if mean else [share]
         look = SimpleNamespace(cost=1.0, priced=0.21 if dear else 0.19)
         end = SimpleNamespace(look=None, settled=settled, residual=0.5, certain=0.9 * STATIONARY if near else 0.11)
-        status, good = Search.status(search, None, end, 1.0, look), certified and exact
+        status, good = Search.status(made, None, end, 1.0, look), certified and exact
         assert (status == "NOT_CERTIFIED") == (not good)
         assert (status == "SUBOPTIMAL") == (good and dear)
         assert (status == "OPTIMAL") == (good and not dear and settled and (near or (rays and not loss and not mean)))
@@ -69,6 +69,7 @@ def stepped(e):
     return jnp.ceil(jnp.abs(linear(e)) / (2 * um)) * 2 * um
 
 
+@pytest.mark.long  # test_tolerances_losses.py has one without a requirement
 def test_a_loss_that_no_slope_shows_is_not_called_optimal():
     """In steps units have no slopes, and along rays only limits are compared: it costs 5 % more than in closed form."""
     response = lambda e: jnp.ceil(jnp.abs(linear(e)) / (4 * um)) * 4 * um - 2 * um  # noqa: E731
@@ -88,7 +89,8 @@ def test_steps_beside_a_mid_point_that_may_move():
         assert found.cost < 1.02 * closed_cost(0.99, 20 * um) * 1.03  # of the share that a certificate wants
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.long) for k in range(1, 6))])
+@pytest.mark.long  # a limit without a margin, below, and the infeasible reference of test_codesign.py
+@pytest.mark.parametrize("seed", range(6))
 @one_start()
 def test_a_limit_without_errors_that_no_number_can_meet(seed):
     """c/size^p <= limit with size <= most: the least is c/most^p."""
@@ -107,17 +109,18 @@ def test_a_limit_without_errors_that_no_number_can_meet(seed):
 
 
 @one_start()
-def test_a_limit_without_errors_has_no_margin():
+def test_a_limit_without_errors_has_no_margin(thorough):
     """d^2 >= 4.039 with d <= 2 is missed by 1 %, 4.004 by 0.1 %, and 3.96 is met to the last digit, at its price."""
+    response = lambda e, v: {"play": e["a"] * v["d"], "q": v["d"] ** 2}  # noqa: E731  one program for all limits
 
     def solved(limit):
         return allocate(
-            lambda e, v: {"play": e["a"] * v["d"], "q": v["d"] ** 2}, {"a": Tolerance.symmetric(0.1)},
+            response, {"a": Tolerance.symmetric(0.1)},
             {"play": Requirement(lower=-1.0, upper=1.0), "q": Nominal(lower=limit)}, costs={"a": COST},
             variables={"d": Variable(1.0, 2.0)}, samples=2048, certificate_samples=UNITS,
         )  # fmt: skip
 
-    for beyond in (0.039, 0.004):
+    for beyond in (0.039, 0.004) if thorough else (0.004,):
         missed = solved(4 + beyond)
         assert (missed.status, missed.feasible) == ("INFEASIBLE", False)
         assert missed.shortfall["q"] == pytest.approx(beyond, rel=1e-2)
@@ -148,6 +151,7 @@ def test_an_end_that_ran_out_of_steps(monkeypatch):
     assert allocate(linear, PAIR, BOTH, **FEW).status == "MAX_STEPS"
 
 
+@pytest.mark.long  # test_tolerances_optimality.py has steps, and test_tolerances_optima.py failing costly units
 def test_an_end_with_a_residual_is_searched_along_rays(monkeypatch):
     """Quick units; of costly ones it is no optimum."""
     ends(monkeypatch, residual=0.5, of_widths=0.5, certain=0.5)
@@ -159,9 +163,9 @@ def test_an_end_with_a_residual_is_searched_along_rays(monkeypatch):
     assert costly.status == "MAX_STEPS" and costly.certificate.verdicts["y"].met
 
 
-def test_a_certificate_that_does_not_hold(monkeypatch):
+def test_a_certificate_that_does_not_hold(monkeypatch, thorough):
     monkeypatch.setattr(Certifier, "holds", lambda self, statistics: False)
-    for options in ({}, {"grades": True}, {"middles": {"a": Middle(-1 * um, 1 * um)}}):
+    for options in ({"grades": True}, *([{}, {"middles": {"a": Middle(-1 * um, 1 * um)}}] if thorough else ())):
         sized = {name: item.replace(size=0.025) for name, item in PAIR.items()}
         found = allocate(linear, sized, BOTH, **options, **FEW)
         assert found.status == "NOT_CERTIFIED" and (found.graded is None or found.graded.status == "NOT_CERTIFIED")
@@ -192,7 +196,8 @@ def test_costly_units_whose_limit_never_decides():
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("start", [0.0, 0.5, 1.19])
+@pytest.mark.parametrize("start", [0.5, *(pytest.param(start, marks=pytest.mark.long) for start in (0.0, 1.19))])
+@one_start()
 def test_an_output_that_fails_beyond_its_limit(start):
     """sqrt(1.2 - d) has no value beyond d = 1.2, and at its limit d = 1.19: the cheapest, where d costs 3 (2 - d)."""
     found = allocate(
@@ -205,8 +210,11 @@ def test_an_output_that_fails_beyond_its_limit(start):
 
 
 @pytest.mark.filterwarnings("error")
-def test_an_output_that_fails_before_its_limit_leads_to_no_false_optimum():
+@one_start()
+def test_an_output_that_fails_before_its_limit_leads_to_no_false_optimum(monkeypatch, thorough):
     """No limit names the end of the values, at 1.2: a cheaper d is always left. The search still comes near it."""
+    if not thorough:
+        monkeypatch.setattr(search, "TESTS", 2)  # certificates: all of them miss
     found = allocate(
         lambda e, v: {"y": e["a"] + 0.0 * v["d"], "room": jnp.where(v["d"] > 1.2, jnp.nan, 1.4 - v["d"])},
         {"a": Tolerance.symmetric(1.0)},
@@ -219,9 +227,9 @@ def test_an_output_that_fails_before_its_limit_leads_to_no_false_optimum():
 def test_a_residual_within_two_standard_errors_is_no_certain_one():
     """Slopes with the error e: the price of the limit times 2 e is taken off."""
     made = constraints(dict(y=Requirement(lower=-0.29, upper=0.45, target=0.99)), costly=True, samples=1024)
-    search, look = programme.Programme(made, made.look), made.look(X)
+    own, look = programme.Programme(made, made.look), made.look(X)
     look = dataclasses.replace(look, used=np.ones(1))
-    exact, rough = (search.end(dataclasses.replace(look, errors=np.full((1, len(X)), e))) for e in (0.0, 0.01))
+    exact, rough = (own.end(dataclasses.replace(look, errors=np.full((1, len(X)), e))) for e in (0.0, 0.01))
     savings = np.abs(look.slopes).sum() + np.abs(look.priced_slopes + look.loss_slopes).sum()
     assert exact.certain == exact.residual == rough.residual > 0.05
     due = exact.residual - 2 * 0.01 * exact.prices[0] / savings
@@ -237,14 +245,16 @@ def test_an_empty_list_is_refused_where_it_is_given(among):
             Variable(1.0, 2.0, among=among)
 
 
+@one_start()
 def test_a_flat_curved_valley_is_followed_to_its_end():
     """Along d = f^2 each step of f by 0.1 saves 2 % of the cost; aside from it a deviation of 0.07 costs a quarter.
 
     At d = f = 1 the half-width is 0.5/0.4 of the one at d = f = 0, and the cost inversely so.
     """
+    response = lambda e, v: e["a"] + 20 * (v["d"] - v["f"] ** 2) ** 2 - 0.1 * v["f"]  # noqa: E731
     found, best = (
         allocate(
-            lambda e, v: e["a"] + 20 * (v["d"] - v["f"] ** 2) ** 2 - 0.1 * v["f"],
+            response,
             {"a": Tolerance.symmetric(0.1)},
             Requirement(upper=0.4, target=0.99),
             costs={"a": COST},
