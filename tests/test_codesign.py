@@ -100,16 +100,15 @@ def test_a_variable_without_room_is_a_constant(solved_lever):
     assert found.cost / solved_lever.cost == pytest.approx(dearer, rel=0.02)
 
 
+@pytest.mark.long  # a mid-point between these limits: test_tolerances_design_centring.py
 @one_start()
-def test_a_variable_that_shifts_an_error_is_a_middle(thorough):
+def test_a_variable_that_shifts_an_error_is_a_middle():
     limits = {"y": Requirement(lower=-1.0, upper=2.0)}
     moved = allocate(
         Linear({"y": dict(a=1.0, b=1.0, length=1.0)}), PARTS, limits,
         variables={"length": Variable(-1.0, 1.0, 0.0)}, **OPTIONS,
     )  # fmt: skip
     assert moved.values["length"] == pytest.approx(0.5, abs=0.03)
-    if not thorough:  # test_tolerances_design_centring.py has the mid-point of these limits
-        return
     middle = allocate(Linear({"y": dict(a=1.0, b=1.0)}), PARTS, limits, middles={"a": Middle(-1.0, 1.0)}, **OPTIONS)
     assert float(middle.tolerances["a"].middle) == pytest.approx(moved.values["length"], abs=0.01)
     assert middle.cost == pytest.approx(moved.cost, rel=0.01)
@@ -128,6 +127,7 @@ def test_an_objective_and_nominal_limits_without_units():
     assert found.multipliers["square"] == pytest.approx(-15 / (2 * np.sqrt(2.0)), rel=1e-3)  # 15 d length/d limit
 
 
+@pytest.mark.long  # bound-0 above, and the finest half-widths of test_tolerances_allocation_bounds.py
 @one_start()
 def test_where_all_half_widths_are_finest_a_number_makes_the_room():
     """Error b has no cost and takes nearly all of the limit; only a longer design leaves more room."""

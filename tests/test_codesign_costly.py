@@ -157,7 +157,7 @@ def test_what_a_certificate_proves_is_not_infeasible():
     assert found.status in ("OPTIMAL", "SUBOPTIMAL", "MAX_STEPS")
 
 
-@pytest.mark.parametrize(("units", "target"), [(70_000, 0.99), (2000, 0.9995)])
+@pytest.mark.parametrize(("units", "target"), [pytest.param(70_000, 0.99, marks=pytest.mark.long), (2000, 0.9995)])
 def test_large_certificates_and_rare_failures_leave_no_room(monkeypatch, units, target):
     """c m within 1: the half-width is 3/(m z), with the deviate z of the target. Beyond the units of a certificate
     a probability of failure decides."""

@@ -158,6 +158,7 @@ def test_a_curve_of_yields_pays_for_moved_mid_points():
     assert cost == pytest.approx(found.learned, rel=5e-3)  # the target is that of the allocation
 
 
+@pytest.mark.long  # test_tolerances_responses.py counts the programs of an allocation
 def test_a_cost_curve_compiles_no_further_program(of_bent):
     count = lambda: [programs(respond, bent), programs(pulled, bent), costs_module._along._cache_size()]  # noqa: E731
     before = count()
@@ -275,6 +276,7 @@ def test_the_learned_cost_is_that_of_an_accepted_set():
     assert min(tried) < curve.learned[0]  # others were cheaper, and refused
 
 
+@pytest.mark.long  # test_tolerances_allocation_bounds.py ends at the finest half-widths
 def test_a_curve_at_the_finest_half_widths():
     """They just meet the target, each at a cost of 1/0.5."""
     half = {k: Tolerance.symmetric(1.0) for k in "ab"}

@@ -142,7 +142,8 @@ def rare(share, flipped):
     return 1 - share.value if flipped else share.value
 
 
-LATER = ("a ring", "both sides", "infinite but for few")  # like a shell, both tails and no value
+LATER = ("a ring", "both sides", "infinite but for few", "a small ball elsewhere", "no value around the nominal unit")
+"""Like a shell, both tails, units that are all alike, a sliver, and failed units of test_tolerances_failure.py."""
 
 
 @pytest.mark.parametrize("place", [pytest.param(p, marks=[pytest.mark.long] * (p in LATER)) for p in PLACES])

@@ -85,22 +85,24 @@ def test_a_limit_that_does_not_decide_needs_the_units_behind_its_slope_alone():
     assert counts[0] < counts[1] + 2 * 0.04 * UNITS  # those behind its slope
 
 
-def test_many_small_steps_never_lose_a_unit():
+def test_many_small_steps_never_lose_a_unit(thorough):
     """Values of units far inside are of the first vector; after many steps some of them are near."""
     made, oracle = (constraints({"y": ONE}, costly=True, samples=UNITS) for _ in range(2))
     made.look(X)
     for k in range(1, 40):
         x = X + 0.02 * k * WAY
-        assert made.look(x, sloped=False).used == pytest.approx(of_all(oracle, x).used, rel=1e-12)
+        used = made.look(x, sloped=False).used
+        assert (k % 3 and not thorough) or used == pytest.approx(of_all(oracle, x).used, rel=1e-12)
 
 
-def test_many_small_steps_of_a_mid_point_bring_units_from_the_other_side():
+def test_many_small_steps_of_a_mid_point_bring_units_from_the_other_side(thorough):
     """They come nearer a little at each step."""
     made, oracle = (constraints({"y": ONE}, costly=True, samples=UNITS) for _ in range(2))
     made.look(X)
-    for moved in np.arange(0.1, 3.0, 0.1):
-        x = X + np.array([0, 0, 0, moved, 0, 0])
-        assert made.look(x, sloped=False).used == pytest.approx(of_all(oracle, x).used, rel=1e-12)
+    for k in range(1, 30):
+        x = X + np.array([0, 0, 0, 0.1 * k, 0, 0])
+        used = made.look(x, sloped=False).used
+        assert (k % 3 and not thorough) or used == pytest.approx(of_all(oracle, x).used, rel=1e-12)
 
 
 def test_calls_of_near_units_are_full(monkeypatch):

@@ -77,11 +77,8 @@ def test_the_end_is_the_known_optimum(name, costly, thorough):
     assert found.evaluations["certificates"] >= found.certificate.samples
 
 
-LATER = ("mean of a number", "flank and diameter", "joint target")
-"""A mean: test_tolerances_requirements.py; an optimum in closed form, and a joint target: test_tolerances_search.py."""
-
-
-@pytest.mark.parametrize("name", ["rare pair", *(pytest.param(name, marks=pytest.mark.long) for name in LATER)])
+@pytest.mark.long  # test_tolerances_requirements.py, test_tolerances_allocation.py and test_tolerances_search.py
+@pytest.mark.parametrize("name", ["mean of a number", "rare pair", "flank and diameter", "joint target"])
 def test_a_small_problem_of_the_benchmark(name):
     """Within 1 %, and its prices by differences; those with a number or a mid-point inside are like the rows above."""
     due = PROBLEMS[name].make()

@@ -160,6 +160,7 @@ def certified(case, at, near=1.001):
     assert 1 - 1e-9 <= found.cost / at(reached).optimum < near
 
 
+@pytest.mark.long  # responses that are not linear: test_tolerances_optima.py
 def test_a_hinge_pin_enters_both_leaves():
     """A gap that is not linear."""
     certified(CASES["hinge of two leaves"](), pin_hinge, 1.002)

@@ -81,7 +81,7 @@ def results():
         "worst case": worst_case(gap, tolerances),
         "moments": rss(gap, tolerances),
         "allocation": allocate(
-            line, STACK, limit, costs={"a": cost, "b": cost}, samples=4096, certificate_samples=4096
+            line, STACK, limit, costs={"a": cost, "b": cost}, samples=4096, certificate_samples=4096, max_steps=2
         ),
         "errors": RVErrors.for_design(design, disc_bore=1 * um),
         "plain": {"none": None, 1: (True, -0.0, [math.inf, -math.inf]), "$x": np.float32(2.5), "e": np.zeros((0, 3))},

@@ -40,7 +40,7 @@ def reached(found, case=LINE):
 @pytest.mark.parametrize(
     ("target", "last"), [(0.9, 512), (0.98, 2048), pytest.param(0.998, 16_384, marks=pytest.mark.long)]
 )
-def test_a_sample_of_costly_units_grows_until_enough_lie_beyond_each_limit(target, last, monkeypatch):
+def test_a_sample_of_costly_units_grows_until_enough_lie_beyond_each_limit(target, last, monkeypatch, thorough):
     """At least 40 of the last one, whatever the least that is asked for; every larger one holds those before."""
     counts, take = [], Constraints.sample
 
@@ -55,6 +55,8 @@ def test_a_sample_of_costly_units_grows_until_enough_lie_beyond_each_limit(targe
     found = solved(requirements=need, samples=100, certificate_samples=4096)
     assert counts[0] == 512 and counts == sorted(counts) and counts[-1] == found.evaluations["sample"] == last
     assert last * (1 - target) >= 32
+    if last == 512 and not thorough:
+        return
     most = solved(requirements=need, samples=4096, certificate_samples=4096)
     assert most.evaluations["sample"] == max(last, 4096)
 
