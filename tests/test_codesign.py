@@ -19,7 +19,10 @@ def solved(name, **changes):
     return allocate(given.pop("response"), given.pop("tolerances"), given.pop("requirements"), **given)
 
 
-@pytest.mark.parametrize("name", ["bound-0", "middle-0", pytest.param("capability-0", marks=pytest.mark.long)])
+LATER = ("middle-0", "capability-0")  # by default: test_tolerances_optima.py, test_tolerances_requirements.py
+
+
+@pytest.mark.parametrize("name", ["bound-0", *(pytest.param(name, marks=pytest.mark.long) for name in LATER)])
 def test_reference_problems(name):
     """Cost, values, active bounds and prices of exact optima; the rest of the table is in the benchmark."""
     with one_start():

@@ -77,6 +77,7 @@ def test_margins_and_their_slopes_are_reported(all_solved):
     assert found.margin_slopes["size"]["arm"] == pytest.approx(10.0) and found.margins["size"] < 0
 
 
+@pytest.mark.long  # test_codesign.py has the least shortage of quick ones
 def test_an_infeasible_problem_of_costly_units_has_its_least_shortage():
     """Finest half-widths leave y a limit of z(0.9973) 0.05 (arm^2 + 1/arm^2)^(1/2) / 3, least at arm = 1: 0.0707."""
     found = allocate(response, PARTS, {"y": Requirement(lower=-0.05, upper=0.05)}, **OPTIONS)
