@@ -220,7 +220,7 @@ def test_free_fields_take_up_what_the_grades_leave():
     """a is snapped to a grade; b is what the closed-form limit then allows."""
     sized = PAIR | {"b": PAIR["b"].replace(size=None)}
     requirement = Requirement(lower=-LIMIT, upper=LIMIT)
-    units = 50_000
+    units = 80_000
     found = allocate(linear, sized, requirement, costs=COSTS, samples=4096, certificate_samples=units, grades=True)
     graded = found.graded
     assert list(graded.grades) == ["a"]

@@ -16,7 +16,7 @@ from tests.oracles.responses import Linear
 
 TARGET, LOWER, UPPER = 0.9973, -1.0, 2.0
 COST = ReciprocalPower(reference=1.0, finest=0.05, coarsest=20.0)
-UNITS = 20_000  # of a certificate
+UNITS = 80_000  # of a certificate: they show the target without a probability of failure, whose draws take longer
 SIZES = dict(samples=4096, certificate_samples=UNITS)
 
 
