@@ -23,7 +23,7 @@ PRICES = {False: 0.03, True: 0.1}
 SLOPELESS = ("failing", "steps")
 """Of units whose slopes mislead only quick ones are searched along rays, where a price is known by few units.
 
-`test_tolerances_optimality.py` has steps, and failed units beside a capability, by default.
+`test_tolerances_optimality.py` has steps, and `test_tolerances_allocation.py` failed units, by default.
 """
 
 
