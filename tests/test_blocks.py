@@ -36,6 +36,7 @@ def carried(text):
     return {shape for types in loops for shape in re.findall(r"tensor<([\dx]+)xf64>", types)}
 
 
+@pytest.mark.long  # roller forces below are cut alike
 @pytest.mark.parametrize(("platform", "lanes", "other"), [("cpu", 64, CASES), ("cuda", CASES, 64)])
 def test_equilibria_are_one_block_of_a_gpu(platform, lanes, other):
     """Forces of 2 x 40 pins in the Newton loop; a processor's block has 64 cases."""

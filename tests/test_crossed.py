@@ -118,6 +118,7 @@ def test_an_answer_is_judged_by_another_study(folder, capsys, monkeypatch):
         assert words in told, words
 
 
+@pytest.mark.long  # the words of every verdict are below
 def test_too_few_units_show_nothing_rather_than_the_contrary(folder, capsys):
     """The target lies between the estimate of 200 units and the lower end of its interval; then above both."""
     for samples, target, due in ((200, "below", "not shown with 200 units"), (200, "above", "not met")):

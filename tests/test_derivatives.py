@@ -74,8 +74,8 @@ CASES = {  # design, outputs, conditions
     "speed": (WHOLE, SPINNING, RUN | dict(load_inertia=10.0, speeds=4)),
 }
 # These compile long; a quicker way through most of the same model runs by default.
-LONG = ("four bar, misfit", "four bar, curve", "lost motion, contact", "dynamics", "balance")
-LONG += ("loaded", "bench", "turn", "life", "turn and life", "running", "standing", "speed")
+FORTY = ("loaded", "bench", "turn", "life", "turn and life", "running", "standing", "speed")  # contacts may open
+LONG = ("four bar, misfit", "four bar, curve", "lost motion, contact", "dynamics", "balance", *FORTY)
 WAVED = WHOLE.replace(cycloid=WHOLE.cycloid.replace(profile_modification=np.array([1e-6, 2e-6, -1e-6, 1.5e-6])))
 CROSSING = dict(load_inertia=10.0, speeds=4, slowest_sun_speed=20.0, fastest_sun_speed=400.0)  # of an order and a mode
 FIGURES = ("convex_radius", "flank_slope", "contact_ratio", "envelope_volume", "nominal_pin_pressure", "mass")
@@ -88,6 +88,9 @@ OF_DESIGNS = CASES | {  # read no error, or those of another kind
     "drive": (CYCLOIDAL_17, DRIVEN, dict(output_torque=8.8, rated_torque=8.8, samples=4, probe_angles=2)),
 }
 LONG += ("drive",)
+# Rollers and the clearance of the flanks have gradients against differences in files of their own.
+LONG += ("mesh force", "clearance")
+SECOND = (*LONG, "four bar", "figures")  # the linkage alone, test_four_bar_derivatives.py, and figures of a drive
 
 
 def test_no_output_is_left_out():
@@ -116,14 +119,14 @@ def drawn(design, random):
     return (*(tree.unflatten([np.asarray(v[n]) for n in order]) for v in (errors, moves)), names)
 
 
-def quick_first(cases):
-    return pytest.mark.parametrize("case", [pytest.param(c, marks=pytest.mark.long) if c in LONG else c for c in cases])
+def quick_first(cases, long):
+    return pytest.mark.parametrize("case", [pytest.param(c, marks=pytest.mark.long) if c in long else c for c in cases])
 
 
-@quick_first(CASES)
+@quick_first(CASES, LONG)
 def test_gradients_are_slopes_of_the_plain_value(case):
     design, outputs, given = CASES[case]
-    h = 1e-4 if case in LONG[5:] else 1e-3
+    h = 1e-4 if case in FORTY else 1e-3
     response = Response.of(design, outputs, models.kind(design).conditions(**given))
 
     def values(errors):
@@ -180,7 +183,7 @@ def test_gradients_are_slopes_of_the_plain_value(case):
     assert (np.abs(central) > bound).any(axis=0).all()  # every output depends on something
 
 
-@quick_first(OF_DESIGNS)
+@quick_first(OF_DESIGNS, SECOND)
 def test_second_derivatives_are_slopes_of_the_first(case):
     """Of each field of the design and of the errors, with a direction in which all move at once.
 

@@ -318,6 +318,7 @@ def test_a_harmonic_on_a_mode():
     assert np.all(found.resonance_distance[:3, 0] < 1e-12)
 
 
+@pytest.mark.long  # the reference holds double precision by default
 def test_single_precision(thorough):
     """Against double precision of the same rounded inputs.
 

@@ -29,8 +29,8 @@ def finite_as_promised(values, status):
 
 
 @functools.cache
-def turn(angles, dtype=np.float64):
-    """Figures and curve of a turn, and the gradient of the largest error, for a batch of bore errors and torques."""
+def turn(angles, dtype=np.float64, slopes=False):
+    """Figures and curve of a turn for a batch of bore errors and torques, with the gradient of the largest error."""
     design = catalogue.RV_40E
 
     def figures(bore, torque):
@@ -38,18 +38,18 @@ def turn(angles, dtype=np.float64):
         found = four_bar.revolution(design, errors, angles=angles, output_torque=torque)
         return found.maximum, found
 
-    return jax.jit(jax.vmap(jax.value_and_grad(figures, has_aux=True)))
+    return jax.jit(jax.vmap(jax.value_and_grad(figures, has_aux=True) if slopes else figures))
 
 
 @pytest.mark.parametrize("dtype", [np.float64, pytest.param(np.float32, marks=pytest.mark.long)])
-def test_figures_of_a_turn_beyond_a_right_angle(dtype):
+def test_figures_of_a_turn_beyond_a_right_angle(dtype, thorough):
     """The tangent of the summed angles wraps there; lanes with small angles share the batch unchanged."""
     rng = np.random.default_rng(3)
     size = 10.0 ** rng.uniform(-7, -0.3, 300)
     bore = (size[:, None, None] * rng.uniform(-1, 1, (300, 2, 2))).astype(dtype)
     bore[..., 0] *= 0.1
     torque = (rng.choice([-400.0, 0.0, 400.0], 300)).astype(dtype)
-    (most, found), slope = turn(7, dtype)(bore, torque)
+    most, found = turn(7, dtype)(bore, torque)
     status = np.asarray(found.info.status)
     finite_as_promised([most, found.minimum, found.largest_misfit], status)
     good = status == Status.CONVERGED
@@ -58,9 +58,10 @@ def test_figures_of_a_turn_beyond_a_right_angle(dtype):
     tolerance = 1e-9 if dtype == np.float64 else 1e-5
     np.testing.assert_allclose(np.asarray(most)[good], curve.max(1), tolerance, 1e-3 * tolerance)
     np.testing.assert_allclose(np.asarray(found.minimum)[good], curve.min(1), tolerance, 1e-3 * tolerance)
-    assert np.isfinite(slope).all()
+    if thorough:  # twice the program; test_four_bar_reducer_derivatives.py has finite gradients of lost units
+        assert np.isfinite(turn(7, dtype, slopes=True)(bore, torque)[1]).all()
     # beside other units a unit is what it was
-    (again, _), _ = turn(7, dtype)(np.roll(bore, 17, 0), np.roll(torque, 17))
+    again, _ = turn(7, dtype)(np.roll(bore, 17, 0), np.roll(torque, 17))
     np.testing.assert_allclose(np.roll(again, -17), most, 1e-5 if dtype == np.float32 else 1e-12)
 
 
@@ -88,7 +89,7 @@ def test_any_number_of_angles_and_any_batch_axis(angles):
     [
         pytest.param("free", "closed_form", marks=pytest.mark.long),
         ("free", "newton"),
-        ("phase_locked", "newton"),
+        pytest.param("phase_locked", "newton", marks=pytest.mark.long),
     ],
 )
 def test_linkages_too_large_for_the_arithmetic(dtype, cranks, closure):
@@ -195,6 +196,7 @@ def test_one_preloaded_roller_near_dead_centre_against_a_small_torque(dtype):
     assert np.isin(found.info.status, (Status.CONVERGED, Status.UNLOADED)).all()
 
 
+@pytest.mark.long  # test_dynamics_response.py has statuses of extremes, test_dynamics_derivatives.py a failed lane
 def test_dynamics_beyond_the_arithmetic():
     """Masses and lengths whose products overflow; amplitudes of a NONFINITE lane are NaN like the mean."""
     base = catalogue.RV_320E

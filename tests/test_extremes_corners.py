@@ -93,6 +93,7 @@ def test_geared_cranks_without_misfit_do_not_slip():
     np.testing.assert_allclose(found.coupler_angle, turned, 1e-12, 1e-15)
 
 
+@pytest.mark.long  # test_lost_motion_flank.py has a search of the exact contact in all ordinary regions
 def test_contact_where_first_order_minima_are_out_of_reach():
     """Deviations beyond the curvature of the flank: the search began where no pin reaches, and ended there."""
     teeth = 39
@@ -213,6 +214,7 @@ def test_a_torque_too_small_for_its_square_has_a_status():
     np.testing.assert_allclose(found.error[1], found.error[2], rtol=1e-9)
 
 
+@pytest.mark.long  # test_four_bar_reducer.py turns a disc beyond a right angle
 def test_a_disc_turned_by_half_a_turn_has_a_misfit():
     """A carrier bore of -1e30 m turns the disc over: 1 - cos from s^2 / (1 + cos) was 0 / 0 there."""
     bore = np.zeros((3, 2))

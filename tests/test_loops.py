@@ -106,11 +106,13 @@ def test_the_first_branch_is_no_part_of_a_loop(read):
 @pytest.mark.parametrize(
     ("ends", "passed", "whole", "text"),
     [
-        ((0, -MOST, MOST, -MOST), 0.0, 1, "one whole cycle"),
+        pytest.param((0, -MOST, MOST, -MOST), 0.0, 1, "one whole cycle", marks=pytest.mark.long),
         ((MOST, -MOST, MOST), MOST - FRICTION, 1, "one whole cycle"),
         ((0, MOST, -MOST, MOST, -MOST, MOST), 0.0, 2, "mean of the last 2 of 2"),
         ((0, MOST, -MOST, 0), -FRICTION, 1, "ends on the branch on which it starts"),
-        ((0, 60, -60, 60, MOST, -MOST, MOST, 0, 60, -60), 0.0, 1, "one whole cycle"),
+        pytest.param(
+            (0, 60, -60, 60, MOST, -MOST, MOST, 0, 60, -60), 0.0, 1, "one whole cycle", marks=pytest.mark.long
+        ),
         ((0, MOST, -MOST, MOST, 300, 350, -MOST), 0.0, 1, "one whole cycle"),
     ],
 )
@@ -226,7 +228,7 @@ def made_of_noise(kind, rng):
     return np.round(torque / 2) * 2, np.round(angle / 0.05) * 0.05
 
 
-@pytest.mark.parametrize("kind", ["angle", "torque", "steps"])
+@pytest.mark.parametrize("kind", ["torque", *(pytest.param(k, marks=pytest.mark.long) for k in ("angle", "steps"))])
 def test_the_stated_spread_covers_the_truth(read, kind):
     """Eight benches of 42 numbers: 95 % lie within two standard deviations, as they would of a normal distribution.
 

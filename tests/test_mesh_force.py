@@ -264,9 +264,8 @@ def test_the_door_gives_one_case():
         rvjax.check(mesh_force.solve(design, CamRollerErrors(), input_torque=1e9, output_angle=0.2))
 
 
-@pytest.mark.parametrize(
-    "contact", ["hertz", *(pytest.param(law, marks=pytest.mark.long) for law in ("linear", "palmgren"))]
-)
+@pytest.mark.long  # the references hold the same cases in double precision
+@pytest.mark.parametrize("contact", ["hertz", "linear", "palmgren"])
 def test_float32(contact):
     """Gaps up to 100 elastic approaches and |z theta| <= 150: 2e-4 of the largest force; 5e-6 is usual."""
     rng = np.random.default_rng(5)

@@ -91,6 +91,15 @@ def test_pressure_of_the_contacts():
     loaded = np.asarray(forces.cam) != 0
     expected = 2 * np.asarray(forces.cam)[loaded] / (np.pi * width[loaded] * CORR.roller_length)
     np.testing.assert_allclose(pressure.cam[loaded], expected, rtol=1e-10)
+
+    def raised(share):
+        more = jax.tree.map(lambda leaf: leaf * share if leaf.dtype == float else leaf, forces)
+        return mesh_force.contact_pressure(design, more, output_angle=0.01)
+
+    same, slope = jax.jvp(raised, (1.0,), (1.0,))
+    for name in ("cam", "cage", "gear"):  # as the root of the force
+        carried = np.asarray(getattr(forces, name)) != 0
+        np.testing.assert_allclose(getattr(slope, name)[carried], getattr(same, name)[carried] / 2, rtol=1e-12)
     idle = mesh_force.solve(design, CamRollerErrors(), input_torque=0.0, output_angle=0.01)
     assert not mesh_force.contact_pressure(design, idle, output_angle=0.01).gear.any()
 

@@ -41,7 +41,12 @@ def with_slopes(call):
     return jax.value_and_grad(total, has_aux=True)
 
 
-LONG = ("life.rated_torque", "running.hysteresis")  # searches over what `life.rating` and `running.losses` trace
+# Searches, turns and sums over what `loaded.equilibrium`, `running.losses`, `four_bar.revolution`, `dynamics.response`,
+# `dynamics.speed_sweep` and `mesh_force.cycle_statistics` trace.
+LONG = ("life.rated_torque", "life.rating", "running.hysteresis", "running.back_driving", "running.joint")
+LONG += ("loaded.revolution", "loaded.torsion", "four_bar.transmission_error", "four_bar.figures", "mesh_force.sweep")
+LONG += ("dynamics.transmission_error", "dynamics.log_sensitivities", "dynamics.speed_range")
+LONG += ("dynamics.error_statistics",)
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n in LONG)) for n in CALLS])
@@ -50,7 +55,13 @@ def test_values_and_slopes_pass_the_checks(name, thorough):
         assert all(leaf.shape[0] == len(XS) for leaf in jax.tree.leaves(jax.eval_shape(mapped(with_slopes(call)), XS)))
 
 
-@pytest.mark.parametrize("name", ["mesh_force.solve", "life.bearing_life", "loaded.equilibrium"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "mesh_force.solve",
+        *(pytest.param(n, marks=pytest.mark.long) for n in ("life.bearing_life", "loaded.equilibrium")),
+    ],
+)
 def test_values_and_slopes_are_those_of_vmap(name):
     function = with_slopes(CALLS[name][-1])
     found, right = jax.jit(mapped(function))(XS), jax.jit(jax.vmap(function))(XS)
