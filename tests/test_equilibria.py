@@ -80,6 +80,7 @@ def test_a_drive_has_times_of_its_own():
     assert expected(drive).startswith("time: about ")
 
 
+@pytest.mark.long  # test_cli_allocate.py has the order of the phases that were forecast
 def test_phases_are_named_in_the_order_of_a_run(monkeypatch):
     begun = []
     monkeypatch.setattr(answer, "begin", begun.append)
@@ -100,6 +101,9 @@ certificate_samples = 4096
     answer.answer(small, measure=False)
     assert begun == [SEARCHING, CERTIFYING, SAMPLING, PRICING]
     assert list(ALLOCATING) == begun
+
+
+def test_units_of_a_moved_middle_and_of_a_certificate():
     whole = study.load("rv-40e-whole", solve=False)
     middle = '[middle.pin_circle_radius]\nlower = "-5 um"\nupper = "5 um"\n'
     moving = study.parse_study(WHOLE + middle, name="mine", solve=False)

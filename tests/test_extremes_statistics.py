@@ -254,10 +254,14 @@ def test_a_write_that_was_cut_off_is_not_read(tmp_path):
     assert found.mean == expected.mean and found.sd == expected.sd
 
 
-def test_requirements_that_contradict_each_other():
-    """Limits the wrong way round are named; two that no unit can meet end as INFEASIBLE, with how far off."""
+def test_limits_the_wrong_way_round_are_named():
     with pytest.raises(ValueError, match=r"Requirement.lower = 2: lies above upper = 1"):
         Requirement(lower=2, upper=1)
+
+
+@pytest.mark.long  # test_codesign.py and test_cli_allocate.py have shortfalls
+def test_requirements_that_contradict_each_other():
+    """Two that no unit can meet end as INFEASIBLE, with how far off."""
     apart = {"low": Requirement(upper=-5 * um), "high": Requirement(lower=5 * um)}
     found = allocate(lambda e: {"low": linear(e), "high": linear(e)}, PAIR, apart, costs=COSTS, samples=512,
                      certificate_samples=2048)  # fmt: skip

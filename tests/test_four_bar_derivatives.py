@@ -24,8 +24,7 @@ def sensitivities(cranks, angle):
 
 
 # Values of the other methods have the same references; their derivatives have no rules of their own.
-RULES = [("free", "newton", "open"), ("phase_locked", "newton", "open"), ("phase_locked", "closed_form", "open")]
-RULES += [("geared", "newton", "open")]
+RULES = [("free", "newton", "open"), ("phase_locked", "newton", "open"), ("geared", "newton", "open")]
 
 
 def others_long(methods):
@@ -114,7 +113,7 @@ def test_newton_equals_closed_form(thorough):
         pair = [(cranks, closure, branch) for closure in ("newton", "closed_form")]
         values = [solver(methods)(*inputs).coupler_angle for methods in pair]
         np.testing.assert_allclose(*values, rtol=1e-11)
-        if not thorough and cranks == "free":
+        if not thorough:  # test_four_bar_reducer_derivatives.py has those of the closed form
             continue
         tangents = [jax.tree.leaves(slopes(methods)((e, spacing, deviations), angle, ratio)) for methods in pair]
         for first, second in zip(*tangents):

@@ -53,7 +53,8 @@ def test_errors_of_another_model_cannot_change_or_fail_an_output(unit, name):
     assert int(outcome(tuple(MODEL), broken).status) == Status.NONFINITE
 
 
-@pytest.mark.parametrize("closure", ["first_order", pytest.param(None, marks=pytest.mark.long)])
+@pytest.mark.long  # outputs of a study alone, above, are these figures
+@pytest.mark.parametrize("closure", ["first_order", None])
 def test_error_alone_and_misfit_alone_equal_both_together(closure):
     """To the rounding of another program; a unit whose shafts hold the discs far apart fails alike in both."""
     errors = STUDY.design.error_record().replace(bearing_clearance=5 * um)
@@ -69,8 +70,11 @@ def test_error_alone_and_misfit_alone_equal_both_together(closure):
     nothing = errors.replace(crank_eccentricity=jnp.full_like(errors.crank_eccentricity, jnp.nan))
     for o in ("error", "misfit"):
         assert int(four_bar.figures(STUDY.design, nothing, only=o, **turn).info.status) == Status.NONFINITE
+
+
+def test_what_cannot_be_asked_alone_is_refused():
     with pytest.raises(ValueError, match="only = 'mean': must be None for both, or one of error, misfit"):
-        four_bar.figures(STUDY.design, errors, only="mean")
+        four_bar.figures(STUDY.design, STUDY.design.error_record(), only="mean")
 
 
 def test_the_names_of_a_response_are_those_of_its_values():
@@ -82,7 +86,8 @@ def test_the_names_of_a_response_are_those_of_its_values():
 SPIN = dict(sun_speed=150.0, output_torque=-3136.0, harmonics=4)
 
 
-def test_rotation_of_the_output_does_not_depend_on_radial_supports(thorough):
+@pytest.mark.long  # the rotation alone is that of all outputs, and sensitivities are as zero, in tests of the dynamics
+def test_rotation_of_the_output_does_not_depend_on_radial_supports():
     """By symmetry the mesh variation turns the output and pushes it nowhere: only the rotational block is solved."""
 
     def rotation(sun_support):
@@ -93,8 +98,6 @@ def test_rotation_of_the_output_does_not_depend_on_radial_supports(thorough):
     support = jnp.asarray(RV_320E.stiffness.sun_support, float)
     value, slope = jax.jit(jax.value_and_grad(rotation))(support)
     assert float(value) > 0 and float(slope) == 0
-    if not thorough:  # test_dynamics_response.py compares the rotation alone with that of all outputs
-        return
     everything = dynamics.assemble(RV_320E).labels
     every = dynamics.response(RV_320E, outputs=everything, **SPIN).amplitude
     own = np.abs(np.asarray(every)[:, everything.index("output.rotation")]).sum()
