@@ -159,8 +159,8 @@ def test_gradients_are_slopes_of_the_plain_value(case):
     np.testing.assert_allclose(value, plain[2, 0], rtol=10 * ROUNDING)
     assert all(np.all(np.asarray(getattr(gradient, name)) == 0) for name in unread)
     signed = [f.name for f in dataclasses.fields(errors) if f.metadata["sign"] == "nonnegative"]
-    at_bound, inside = (slopes(errors.replace(**{name: np.full_like(getattr(errors, name), x) for name in signed}))[0]
-                        for x in (0.0, 1e-12))  # fmt: skip
+    there = (errors.replace(**{name: np.full_like(getattr(errors, name), x) for name in signed}) for x in (0.0, 1e-12))
+    at_bound, inside = (slopes(jax.tree.map(np.asarray, unit))[0] for unit in there)  # types as above: one program
     for name in signed:  # the slope of the side that a sign admits
         one, other = (np.asarray(getattr(found, name)) for found in (at_bound, inside))
         np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-9 * np.max(np.abs(other), initial=0), err_msg=name)
