@@ -8,6 +8,7 @@ from rvjax import CrankStage, CycloidStage, InvoluteStage, RVErrors, RVReducer, 
 from rvjax.units import mm, um
 
 STATIC = ("angles", "cranks", "closure", "branch")
+USUAL = dict(cranks="phase_locked", branch="open")  # said in every call: left out, it would be another program
 _revolution = jax.jit(four_bar.revolution, static_argnames=STATIC)
 _transmission_error = jax.jit(four_bar.transmission_error, static_argnames=STATIC[1:])
 READ = ("crank_eccentricity", "crank_phase", "disc_bore", "carrier_bore", "bearing_clearance", "eccentricity")
@@ -22,14 +23,16 @@ def revolution(design, errors, output_torque=None, dtype=float, **methods):
     """A turn of one unit; with no torque the program without load."""
     given = {} if output_torque is None else {"output_torque": output_torque}
     design, errors, given = numbers((design, errors, given), dtype)
-    return jax.tree.map(np.asarray, _revolution(design, errors, **given, **methods))
+    return jax.tree.map(np.asarray, _revolution(design, errors, **given, **USUAL | methods))
 
 
 def transmission_error(design, errors, *, crank_angle, output_torque=0.0, dtype=float, ratio=None, **methods):
     """The error of one unit at one angle, by the program with load."""
     design, errors, angle, torque, ratio = numbers((design, errors, crank_angle, output_torque, ratio), dtype)
     given = dict(crank_angle=angle, output_torque=torque, gear_stiffness_ratio=ratio)
-    return jax.tree.map(np.asarray, _transmission_error(design, errors, **given, **methods))
+    return jax.tree.map(
+        np.asarray, _transmission_error(design, errors, **given, **USUAL | dict(closure="newton") | methods)
+    )
 
 
 def reducer(cranks=2, discs=2, e=1.3 * mm, radius=36 * mm, stiffness=6e8, teeth=(10, 26, 39, 40), pins=64 * mm):

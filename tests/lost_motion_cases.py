@@ -25,4 +25,5 @@ def solve(design, errors, *, tilt=0.0, centre_shift=0.0, normal_force=None, dtyp
     design, errors, given = numbers((design, errors, dict(tilt=tilt, centre_shift=centre_shift)), dtype)
     if normal_force is not None:
         given["normal_force"] = np.asarray(normal_force, dtype)
+    options = dict(reading="consistent", profile="first_order") | options  # left out, it would be another program
     return jax.tree.map(np.asarray, _solve(design, errors, **given, **options))
