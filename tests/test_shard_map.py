@@ -42,11 +42,12 @@ def with_slopes(call):
 
 
 # Searches, turns and sums over what `loaded.equilibrium`, `running.losses`, `four_bar.revolution`, `dynamics.response`,
-# `dynamics.speed_sweep` and `mesh_force.cycle_statistics` trace.
+# `dynamics.periodic`, `dynamics.speed_sweep` and `mesh_force.solve` trace, or parts of it.
 LONG = ("life.rated_torque", "life.rating", "running.hysteresis", "running.back_driving", "running.joint")
 LONG += ("loaded.revolution", "loaded.torsion", "four_bar.transmission_error", "four_bar.figures", "mesh_force.sweep")
 LONG += ("dynamics.transmission_error", "dynamics.log_sensitivities", "dynamics.speed_range")
-LONG += ("dynamics.error_statistics",)
+LONG += ("dynamics.error_statistics", "dynamics.error_excitation", "dynamics.error_transfer", "dynamics.floquet")
+LONG += ("dynamics.constant_forcing", "mesh_force.cycle_statistics")
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n in LONG)) for n in CALLS])
@@ -55,13 +56,10 @@ def test_values_and_slopes_pass_the_checks(name, thorough):
         assert all(leaf.shape[0] == len(XS) for leaf in jax.tree.leaves(jax.eval_shape(mapped(with_slopes(call)), XS)))
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "mesh_force.solve",
-        *(pytest.param(n, marks=pytest.mark.long) for n in ("life.bearing_life", "loaded.equilibrium")),
-    ],
-)
+WHOLE = ("mesh_force.solve", "life.bearing_life", "loaded.equilibrium")  # compile long; by default a root and its slope
+
+
+@pytest.mark.parametrize("name", ["roots.bracketed", *(pytest.param(n, marks=pytest.mark.long) for n in WHOLE)])
 def test_values_and_slopes_are_those_of_vmap(name):
     function = with_slopes(CALLS[name][-1])
     found, right = jax.jit(mapped(function))(XS), jax.jit(jax.vmap(function))(XS)
