@@ -83,14 +83,10 @@ def test_any_number_of_angles_and_any_batch_axis(angles):
     assert np.isnan(last[0][2]) and np.isfinite(np.delete(np.asarray(last[0]), 2)).all()
 
 
-@pytest.mark.parametrize("dtype", [np.float64, pytest.param(np.float32, marks=pytest.mark.long)])
+@pytest.mark.long  # statuses of lost linkages: test_four_bar_limits.py; their gradients: test_four_bar_derivatives.py
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
 @pytest.mark.parametrize(
-    ("cranks", "closure"),
-    [
-        pytest.param("free", "closed_form", marks=pytest.mark.long),
-        ("free", "newton"),
-        pytest.param("phase_locked", "newton", marks=pytest.mark.long),
-    ],
+    ("cranks", "closure"), [("free", "closed_form"), ("free", "newton"), ("phase_locked", "newton")]
 )
 def test_linkages_too_large_for_the_arithmetic(dtype, cranks, closure):
     """Finite inputs whose squares overflow: a status, NaN, and no NaN in the derivatives."""
