@@ -84,6 +84,7 @@ def geared_cranks(**numbers):
     return found, slope
 
 
+@pytest.mark.long  # test_four_bar.py has geared parallelograms at rest
 def test_geared_cranks_without_misfit_do_not_slip():
     """Soft gears leave other places of rest, which bisection found when rounding kept Newton from halving."""
     rng = np.random.default_rng(0)
@@ -172,6 +173,7 @@ def test_a_mechanism_is_singular_whatever_the_pivots_say():
     assert np.asarray(held.residual).max() < 1e-11
 
 
+@pytest.mark.long  # test_four_bar_derivatives.py has lost lanes of geared cranks
 def test_geared_cranks_too_soft_for_an_angle_leave_their_neighbours_alone():
     """A slip of 1e30 rad has no angle: NONFINITE, and a gradient that is finite."""
     cases = [dict(), dict(crank_3=-1e30), dict(joint=(-1e30, 1e-4)), dict(eccentricity=1e-300), dict(ratio=1e-30)]

@@ -115,6 +115,7 @@ def test_infinite_units_are_missing_from_statistics_of_valid_ones():
         assert verdict.estimate.value > 1 and not verdict.met
 
 
+@pytest.mark.long  # a Monte Carlo study, above, counts them alike
 def test_a_certificate_counts_infinite_lives():
     """Half of all lives are infinite: of the others 2 % may miss the limit, where 1 % of all units may."""
 

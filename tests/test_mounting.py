@@ -147,6 +147,19 @@ def test_bores_turned_with_the_carrier_are_one_machine():
     assert np.abs(misfits[0]).min() > 1e-8
 
 
+@pytest.mark.parametrize("index", range(6))
+def test_a_turned_carrier_takes_its_centre_and_its_pins_along(index):
+    """Six output pins: each is the pin `index` places before, and carries its offset along its own axis."""
+    parts = {"carrier_centre": np.array([0.3, -0.7]), "output_pin_offset": np.arange(12.0).reshape(6, 2)}
+    parts |= {"output_pin_radius": np.arange(6.0)}
+    found = unit_errors(CYCLOIDAL_15, {"carrier": parts}, {"carrier": index})
+    centre = (0.3 - 0.7j) * np.exp(2j * math.pi * index / 6)
+    np.testing.assert_allclose(found.carrier_centre, [centre.real, centre.imag], atol=1e-12)
+    for name in ("output_pin_offset", "output_pin_radius"):
+        np.testing.assert_array_equal(getattr(found, name), np.roll(parts[name], index, axis=0))
+
+
+@pytest.mark.long  # errors move with the metal, above, by default
 def test_a_drive_moves_its_disc_and_its_carrier_as_one_machine():
     """15 lobes, 6 holes: a turned or exchanged part shifts the curve of a crank turn; turned over, load and time turn.
 
