@@ -6,6 +6,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
+from loaded_cases import newton_alone
 
 from rvjax import Contact, CycloidalErrors, CycloidalReducer, CycloidalStiffness, CycloidStage, OutputPins, loaded
 from rvjax.loaded import unchecked
@@ -72,6 +73,7 @@ SAMPLES = 6  # of a fit
 
 @jax.jit
 @jax.vmap
+@newton_alone()
 def lanes(design, errors, angle, torque):
     """Slopes of the error of Hertzian cases to all their numbers, and the equilibria."""
 

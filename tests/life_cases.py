@@ -6,7 +6,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from loaded_cases import design_of, errors_of, number, plain
+from loaded_cases import design_of, errors_of, newton_alone, number, plain
 
 from rvjax import Bearings, RollerBearing, life
 
@@ -41,6 +41,7 @@ def rate(design, errors, duty, **changes):
 
 
 @jax.jit
+@newton_alone()
 def _slopes(given):
     def one(given):
         *unit, reliability = given

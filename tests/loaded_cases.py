@@ -3,16 +3,20 @@
 `solve` is one program for each law, `solve_many` one for cases next to each other.
 """
 
+import contextlib
 import json
+import os
 import sys
 from pathlib import Path
 
 import jax
 import numpy as np
+import pytest
 
 from rvjax import Contact, CrankStage, CycloidStage, InvoluteStage, RVErrors, RVReducer, Status, Stiffness, loaded
 from rvjax.errors import described
 from rvjax.loaded.equilibrium import check_input
+from rvjax.loaded.system import Layout
 
 equilibrium = sys.modules["rvjax.loaded.equilibrium"]  # a function hides it
 
@@ -35,6 +39,17 @@ def number(value):
 def plain(tree):
     """Scalars as floats, as constructors leave them, the rest as arrays, for JAX compiles anew for other types."""
     return jax.tree.map(lambda leaf: np.asarray(leaf, float) if np.ndim(leaf) else float(leaf), tree)
+
+
+@contextlib.contextmanager
+def newton_alone():
+    """What is traced here lacks the interior point method, which few cases need: a fifth of the compilation.
+
+    The long profile has it in every program. A decorator too."""
+    with pytest.MonkeyPatch.context() as patch:
+        if os.environ.get("HYPOTHESIS_PROFILE") != "long":
+            patch.setattr(Layout.__new__, "__defaults__", (False,))
+        yield
 
 
 def solve(design, errors, angle, torque, **methods):

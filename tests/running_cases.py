@@ -61,7 +61,8 @@ def solved(case, **changes):
     if case["name"] in TOGETHER:
         options |= changes
         return losses(options["samples"], (design, errors, friction_of(case), options))[0]
-    return FUNCTIONS[case["kind"]](design, errors, friction_of(case), **(options | changes))
+    with loaded_cases.newton_alone():
+        return FUNCTIONS[case["kind"]](design, errors, friction_of(case), **(options | changes))
 
 
 def assert_agrees(found, expect, rtol):
@@ -128,7 +129,8 @@ def floating(found):
 def shifted(kind, samples, amount, *unit):
     """Results of a function for a moved unit."""
     *parts, options = moved(amount, *unit)
-    return FUNCTIONS[kind](*parts, **({} if samples is None else dict(samples=samples)), **options)
+    with loaded_cases.newton_alone():
+        return FUNCTIONS[kind](*parts, **({} if samples is None else dict(samples=samples)), **options)
 
 
 def along(kind, samples, amount, *unit):

@@ -13,7 +13,7 @@ from rvjax import RollerBearing, Status, life
 HISTORY = {"basic": 1e-12, "raceway": 1e-6, "slices": 1e-4}
 MACHINE = {"basic": 1e-7, "raceway": 1e-6, "slices": 1e-4}
 LONG = ("three", "rv40: no errors, rated", "rv40: no errors, linear", "rv40: all errors, four phases, raceway")
-LONG += ("rv40: torque for 6000 h, all errors",)  # the next one has the search, and equilibria under torques are above
+LONG += ("rv40: torque for",)  # that torque has that life, below; test_life_machine.py has the search
 LONG += ("basic: three phases", "raceway: three phases")  # the laminae have the same history, and all methods weights
 
 
@@ -77,6 +77,15 @@ def test_methods_reach_the_equilibrium(monkeypatch):
     for plan in plans:
         assert (plan.layout.law, plan.layout.common) == ("linear", (3, 3))  # both float
         assert (plan.samples, plan.method) == (24, "raceway")
+
+
+def test_a_rated_torque_of_the_reference_has_its_life():
+    """By the program of the ratings."""
+    case = NAMED["rv40: torque for 6000 h, all errors"]
+    torque, speed = case["expect"]["torque"], case["output_speed"]
+    duty = life.Duty(np.full(4, torque), np.full(4, speed), np.ones(4))
+    assert case["options"] == PLAN
+    assert float(rate_together(*unit_of(case), duty).life) == pytest.approx(case["life"], rel=MACHINE["basic"])
 
 
 @pytest.mark.parametrize("name", names("rated"))

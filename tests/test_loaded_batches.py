@@ -1,16 +1,13 @@
 """Batches of the loaded model: every lane as alone, slow ones too, failed ones contained; precision and compilation."""
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
+import life_cases
 import numpy as np
 import pytest
 from loaded_cases import NAMED, assert_same, at, design_of, errors_of, solve, supported
 
 from rvjax import Status, loaded
-from rvjax._jax.sizes import Size
-from rvjax.loaded import balance, newton
 from rvjax.loaded.case import solve as solve_from
 from rvjax.loaded.equilibrium import admit, check_input, outcome, prepare
 
@@ -82,27 +79,6 @@ def test_many_units_at_little_torque_all_converge_and_agree_with_each_alone():
         np.testing.assert_allclose(found.pins[place], due.pins, rtol=0, atol=1e-7 * np.max(due.pins))
 
 
-def test_the_last_cases_of_a_wide_block_go_on_in_a_narrow_one(monkeypatch):
-    """One block of all 100 units, as on a GPU, and another unit that is not solved: the same as in blocks of 64, whose
-    units are each as alone, in as many steps; a second loop has a sixteenth of the lanes."""
-    errors, torques = sampled(UNITS), 0.03 * RATED * SIGNS
-    object.__setattr__(errors, "crank_phase", errors.crank_phase.at[0].set(np.nan))
-    due = jax.tree.map(np.asarray, solve_units(errors, torques, COLD))
-    monkeypatch.setattr(newton, "EQUILIBRIA", Size(1000, 1000))
-    monkeypatch.setattr(newton, "_WIDE", UNITS - 1)
-    balance.in_lanes.cache_clear()
-    lowered = jax.jit(lambda *given: units_solved(*given)).lower(errors, torques, COLD)
-    balance.in_lanes.cache_clear()
-    text = lowered.as_text()
-    assert all(f"tensor<13x{lanes}xf64>" in text for lanes in (UNITS, UNITS // 16))
-    found = jax.tree.map(np.asarray, lowered.compile()(errors, torques, COLD))
-    np.testing.assert_array_equal(found.info.status, due.info.status)
-    assert np.all(found.info.status[:, 0] == Status.NONFINITE)
-    np.testing.assert_allclose(found.error, due.error, rtol=1e-8, atol=1e-12)
-    assert np.mean(found.info.steps != due.info.steps) < 0.15  # the last ones forget how long they stalled
-    np.testing.assert_allclose(np.mean(found.info.steps), np.mean(due.info.steps), rtol=0.1)
-
-
 @pytest.fixture(scope="module")
 def good():
     """Forwards and backwards at rated torque."""
@@ -115,11 +91,11 @@ def test_batches_of_batches_are_their_cases(good):
         assert_same(at(good, place), alone(sampled(UNITS), place, RATED * SIGNS), place)
 
 
-def test_a_failed_lane_disturbs_no_neighbour(good):
+def test_a_failed_lane_disturbs_no_neighbour(good, thorough):
     spoilt = sampled(UNITS)
     for name, values in {
         "pin_radius": {3: jnp.nan},
-        "pin_circle_radius": {7: -0.02},
+        "pin_circle_radius": {7: -0.02 if thorough else -5e-3},  # after 300 steps, or a few
         "crank_phase": {9: jnp.inf},
     }.items():
         leaf = getattr(spoilt, name)
@@ -203,15 +179,17 @@ def test_units_of_their_own_geometry_in_a_batch_are_their_cases():
     agree_with_each_alone([(D, E), (T,), (A,)], designs, errors, [RATED, -RATED], [0.3, 140.0])
 
 
+def solve_single(*given):
+    design, errors, angle, torque = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), given)
+    return loaded.equilibrium(design, errors, input_angle=angle, output_torque=torque, contact="linear")
+
+
 def test_single_precision():
     """The aim for loaded cases: error 1e-4 relative + 1e-8 rad, forces 1e-3 of the largest. A few ill-conditioned units
     of a hundred miss it, by up to the rounding of their gaps times a condition of 1e4: 5e-4. Linear pins; the contact
     laws have their own test."""
     errors = jax.device_get(sampled(UNITS))
-    given = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), (supported(DESIGN, 1e9), errors, ANGLES[0], RATED))
-    design, small, angle, torque = given
-    one = partial(loaded.equilibrium, design, input_angle=angle, output_torque=torque, contact="linear")
-    singles = [one(unit(small, n)) for n in range(UNITS)]
+    singles = [solve_single(supported(DESIGN, 1e9), unit(errors, n), ANGLES[0], RATED) for n in range(UNITS)]
     doubles = [solve(DESIGN, unit(errors, n), ANGLES[0], RATED, contact="linear") for n in range(UNITS)]
     single, double = (jax.tree.map(lambda *leaves: np.stack(leaves), *ones) for ones in (singles, doubles))
     assert single.error.dtype == jnp.float32
@@ -221,6 +199,18 @@ def test_single_precision():
     assert np.all(off <= 5e-4 * np.abs(double.error))
     largest = np.max(double.pins, axis=(1, 2), keepdims=True)
     assert np.max(np.abs(np.asarray(single.pins, float) - double.pins) / largest) < 1e-3
+
+
+def test_single_precision_finds_the_equilibria_of_a_light_duty():
+    """After the linear start no closed contact holds the carrier: its pivot is rounding, and was zero or negative."""
+    design, errors = life_cases.unit_of(life_cases.NAMED[life_cases.BASIC])
+    design = supported(design.replace(bearings=None), 1e9)
+    for part, torque in ((6, 20.0), (7, 30.0), (13, 20.0), (18, 70.0)):
+        given = design, errors, 2 * np.pi * design.ratio / 48 * part, torque
+        single, double = solve_single(*given), solve(*given, contact="linear")
+        assert single.error.dtype == jnp.float32 and single.info.status == Status.CONVERGED
+        assert single.info.steps < 40
+        np.testing.assert_allclose(single.error, double.error, rtol=1e-3)
 
 
 def test_other_numbers_compile_nothing(compiled):

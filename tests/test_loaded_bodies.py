@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 import scipy.optimize
 
+from rvjax._jax.sizes import Size
+from rvjax.loaded import newton
 from rvjax.loaded.balance import balance, compliance, forces, with_implicit_derivative
 from rvjax.loaded.interior import STEPS, approach
 from rvjax.loaded.system import Bearings, Group, Joints, Layout, Pins, System
@@ -137,15 +139,17 @@ def energy_and_slope(layout, s, q):
     return energy + s.load * q[layout.carried], slope
 
 
-def minimum(layout, s):
-    """By BFGS in micrometres, then a root of the slope."""
+def minimum(layout, s, start=None):
+    """By BFGS in micrometres, then a root of the slope; with a start near it, by the root alone."""
 
     def scaled(x):
         energy, slope = energy_and_slope(layout, s, x * um)
         return energy / um, slope
 
-    rough = scipy.optimize.minimize(scaled, np.zeros(layout.unknowns), jac=True, method="BFGS", options={"gtol": 1e-6})
-    found = scipy.optimize.root(lambda x: scaled(x)[1], rough.x, tol=1e-14, options={"maxfev": 4000})
+    if start is None:
+        x = np.zeros(layout.unknowns)
+        start = scipy.optimize.minimize(scaled, x, jac=True, method="BFGS", options={"gtol": 1e-6}).x * um
+    found = scipy.optimize.root(lambda x: scaled(x)[1], start / um, tol=1e-14, options={"maxfev": 4000})
     assert np.max(np.abs(found.fun)) < 1e-7
     return found.x * um
 
@@ -182,7 +186,7 @@ def test_the_minimum_is_that_of_scipy(layout):
         energy = [energy_and_slope(layout, case, np.asarray(x))[0] for x in (q[number], due)]
         assert energy[0] <= energy[1] + 1e-15
         step = 1e-4 * case.load
-        more, less = (minimum(layout, case._replace(load=case.load + sign * step)) for sign in (1, -1))
+        more, less = (minimum(layout, case._replace(load=case.load + sign * step), due) for sign in (1, -1))
         np.testing.assert_allclose(softness[number], -(more - less)[layout.carried] / (2 * step), rtol=1e-3)
 
 
@@ -233,9 +237,35 @@ def test_the_minimum_has_the_slope_of_the_law_of_a_hole():
         joints = case.joints._replace(compliance=share * case.joints.compliance)
         return solved(layout, case._replace(joints=joints))[0][layout.carried]
 
+    near = minimum(layout, case)
+
     def plain(share):
         joints = case.joints._replace(compliance=share * case.joints.compliance)
-        return minimum(layout, case._replace(joints=joints))[layout.carried]
+        return minimum(layout, case._replace(joints=joints), near)[layout.carried]
 
     slope = jax.jit(jax.jacfwd(turned))(1.0)  # without the compliance
     np.testing.assert_allclose(slope, (plain(1 + 1e-4) - plain(1 - 1e-4)) / 2e-4, rtol=1e-4)
+
+
+def test_the_last_cases_of_a_wide_block_go_on_in_a_narrow_one(monkeypatch):
+    """One block of all 100 cases, as on a GPU, and one of them that is not solved: the same as in blocks of 64, in as
+    many steps; a second loop has a sixteenth of the lanes."""
+    layout, many = ONE, 100
+    draw = np.random.default_rng(0)
+    torques, angles = 5 * draw.uniform(0.01, 1, many) * draw.choice([-1, 1], many), draw.uniform(0, 100, many)
+    cases = [system_of(layout, *case, 8 * um, 6 * um, 3 * um, seed) for seed, case in enumerate(zip(torques, angles))]
+    s, start = jax.tree.map(lambda *x: np.stack(x), *cases), np.full((many, layout.unknowns), np.nan)
+    start[0] = np.inf
+    due = jax.device_get(jax.jit(functools.partial(newton.minimise, layout))(s, start))
+    monkeypatch.setattr(newton, "EQUILIBRIA", Size(1000, 1000))
+    monkeypatch.setattr(newton, "_WIDE", many - 1)
+    lowered = jax.jit(lambda *given: newton.minimise(layout, *given)).lower(s, start)
+    text = lowered.as_text()
+    assert all(f"tensor<{layout.unknowns}x{lanes}xf64>" in text for lanes in (many, many // 16))
+    found = jax.device_get(lowered.compile()(s, start))
+    assert np.all(due.converged == (np.arange(many) > 0)) and np.all(found.converged == due.converged)
+    largest = np.max(np.abs(due.q[1:]), axis=1, keepdims=True)
+    np.testing.assert_allclose(found.q[1:] / largest, due.q[1:] / largest, rtol=0, atol=1e-8)
+    assert np.max(due.steps) > 2 * np.median(due.steps)  # there were slow ones
+    assert np.mean(found.steps != due.steps) < 0.15  # the last ones forget how long they stalled
+    np.testing.assert_allclose(np.mean(found.steps), np.mean(due.steps), rtol=0.1)

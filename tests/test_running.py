@@ -24,8 +24,7 @@ FRICTION, OPTIONS = cases.friction_of(CASE), CASE["options"]
 TIGHT = cases.NAMED["rv40: tight pins, no torque"]
 STEP = 1e-5  # of differences
 COMMON = (
-    *(*TOGETHER, "rv40: back, no errors", "rv40: back, all errors", "rv40: loop, no errors"),
-    *("rv40: loop, tight pins", "rv40: loop, play", "rv40: joint, all errors"),
+    *(*TOGETHER, "rv40: loop, no errors", "rv40: loop, tight pins", "rv40: loop, play", "rv40: joint, all errors"),
     *("cycloidal: no errors", "cycloidal: all errors, the output drives"),
 )  # the others need a program for each
 
@@ -114,29 +113,33 @@ def test_at_rest_only_the_factor_counts_and_no_viscous_drag():
         assert int(losses(none, FRICTION.replace(static_factor=factor)).self_locking) == locks
 
 
-def test_no_friction_is_no_loss():
+def test_no_friction_is_no_loss(thorough):
     zero = Friction(
         **{name: 0.0 for name, value in vars(FRICTION).items() if value is not None and name != "static_factor"}
     )
     found = losses(friction=zero.replace(static_factor=1.0))
     assert float(found.efficiency) == float(found.backward_efficiency) == 1 and int(found.self_locking) == 0
     assert float(found.loss_torque) == float(found.starting_torque) == 0
-    due = cases.NAMED["rv40: back, all errors"]
-    back = cases.solved(due | dict(friction=vars(plain(zero))))
-    assert float(back.torque) == 0 and int(back.info.status) == Status.CONVERGED
+    if thorough:
+        due = cases.NAMED["rv40: back, all errors"]
+        back = cases.solved(due | dict(friction=vars(plain(zero))))
+        assert float(back.torque) == 0 and int(back.info.status) == Status.CONVERGED
 
 
-def test_the_back_driving_torque_divides_what_locks_from_what_turns():
-    """Losses at a little less and a little more of it. With great friction there is none, or pins are overloaded."""
+def test_the_back_driving_torque_divides_what_locks_from_what_turns(thorough):
+    """Losses at a little less and a little more of that of the reference. The long profile has the search among
+    equilibria, too; with great friction there is no such torque, or pins are overloaded."""
     for name, status in (
         ("rv40: back, no errors", Status.CONVERGED),
         ("rv40: back, all errors", Status.CONTACT_OVERLOAD),
     ):
         case = cases.NAMED[name]
-        torque, (_, errors) = float(cases.solved(case).torque), cases.unit_of(case)
+        torque, (_, errors) = case["expect"]["torque"], cases.unit_of(case)
         for factor, locks in ((1 - 1e-6, 1), (1 + 1e-6, 0)):
             found = losses(errors, cases.friction_of(case), output_torque=factor * torque)
             assert int(found.self_locking) == locks, (name, factor)
+        if not thorough:
+            continue
         locked = cases.solved(case | dict(friction=case["friction"] | dict(ring_pins=1.0)))
         assert int(locked.info.status) == status and not np.isfinite(locked.torque)
         assert np.isposinf(locked.torque) == (status == Status.CONVERGED)
