@@ -79,7 +79,7 @@ def test_a_drive_that_cannot_be_has_a_status():
 DRIVES = {"15": 150 * um, "17": 35 * um, "29": 5 * um}
 
 
-@pytest.mark.parametrize("lobes", DRIVES)
+@pytest.mark.parametrize("lobes", [pytest.param(n, marks=[] if n == "17" else [pytest.mark.long]) for n in DRIVES])
 def test_the_known_drives_turn_freely_and_have_room_for_their_holes(lobes):
     design = getattr(catalogue, f"CYCLOIDAL_{lobes}")
     angles = 2 * np.pi * design.ratio / design.cycloid.pin_count * np.arange(SAMPLES) / SAMPLES

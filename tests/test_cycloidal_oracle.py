@@ -113,7 +113,7 @@ KNOWN = {  # torque; backlash arcmin, stiffness N m/arcmin, largest pin and hole
 }
 
 
-@pytest.mark.parametrize("lobes", KNOWN)
+@pytest.mark.parametrize("lobes", [pytest.param(n, marks=[] if n == "17" else [pytest.mark.long]) for n in KNOWN])
 def test_the_known_drives(lobes):
     """Without errors: 12 angles over a crank turn for the largest values, input angle 0 for the others."""
     torque, *due = KNOWN[lobes]

@@ -148,7 +148,7 @@ def test_weights_are_shares_of_revolutions(method):
     assert float(found.life) == pytest.approx(float(want.life), rel=1e-9)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", ["basic", pytest.param("raceway", marks=pytest.mark.long), "slices"])
 def test_derivatives_are_those_of_the_plain_value(method):
     """Every number along a random direction. Steps of 1e-4: differences are good to 1e-7 of the value, slices are
     solved to 1e-13."""
@@ -197,7 +197,7 @@ def test_a_bad_case_leaves_its_neighbours(method):
     assert np.isnan(life.dynamic_rating(large))
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", ["basic", *(pytest.param(m, marks=pytest.mark.long) for m in METHODS[1:])])
 def test_single_precision_is_good_to_a_percent(method):
     force = fixed(900.0) + turning(700.0)
     small, small_force, angle = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), (EXAMPLE, force, ANGLES))

@@ -65,15 +65,15 @@ def test_equal_slopes_are_the_closed_form():
 
 def test_a_system_has_the_slopes_of_the_implicit_equation():
     """dL/dr_b = slope (r_b/L)^(slope - 1) / sum of slope (r/L)^slope; nothing where nothing turns; single precision."""
-    found = float(whole(*RATES))
+    found = float(jax.jit(whole)(*RATES))
     each = [e * (r / found) ** (e - 1) for r, e in zip(RATES, SLOPES)]
     due = [one / sum(np.sum(e * (r / found) ** e) for r, e in zip(RATES, SLOPES)) for one in each]
-    for one, other in zip(jax.grad(whole, argnums=(0, 1))(*RATES), due):
+    for one, other in zip(jax.jit(jax.grad(whole, argnums=(0, 1)))(*RATES), due):
         np.testing.assert_allclose(one, other, rtol=1e-12)
     with jax.debug_nans(True):
-        still = jax.value_and_grad(whole, argnums=(0, 1))(0 * RATES[0], 0 * RATES[1])
+        still = jax.jit(jax.value_and_grad(whole, argnums=(0, 1)))(0 * RATES[0], 0 * RATES[1])
     assert all(not np.any(x) for x in jax.tree.leaves(still))
-    single = whole(*(jnp.asarray(r, jnp.float32) for r in RATES))
+    single = jax.jit(whole)(*(jnp.asarray(r, jnp.float32) for r in RATES))
     assert single.dtype == jnp.float32 and float(single) == pytest.approx(found, rel=1e-6)
 
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import life_cases
 import numpy as np
 import pytest
-from loaded_cases import NAMED, assert_same, at, design_of, errors_of, solve, supported
+from loaded_cases import NAMED, assert_same, at, design_of, errors_of, newton_alone, solve, supported
 
 from rvjax import Status, loaded
 from rvjax.loaded.case import solve as solve_from
@@ -179,7 +179,9 @@ def test_units_of_their_own_geometry_in_a_batch_are_their_cases():
     agree_with_each_alone([(D, E), (T,), (A,)], designs, errors, [RATED, -RATED], [0.3, 140.0])
 
 
+@newton_alone()
 def solve_single(*given):
+    """The equilibrium in single precision, by one program."""
     design, errors, angle, torque = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), given)
     return loaded.equilibrium(design, errors, input_angle=angle, output_torque=torque, contact="linear")
 

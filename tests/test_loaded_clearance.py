@@ -159,6 +159,7 @@ def jammed(design):
     return np.mean(jax.vmap(least_of, (None, 0, 0))(design, circle, flank) < 0)
 
 
+@pytest.mark.long  # closed forms, and units that are free or not under no torque, run by default
 def test_the_optimum_of_the_documentation_does_not_jam():
     """Modifications of docs/design.md under normal errors within +-7.5 um at 3 sigma; unmodified every second jams."""
     amplitudes = np.array([0.58, 0.16, 0.69, -0.49]) * um

@@ -10,6 +10,7 @@ import itertools
 import jax
 import numpy as np
 import pytest
+from loaded_cases import newton_alone
 
 import rvjax
 from rvjax import RVErrors, Status, catalogue, loaded
@@ -77,8 +78,8 @@ def test_agrees_with_the_oracle(law, supports):
     rng = np.random.default_rng(number)
     design = reducer(*COUNTS[number % len(COUNTS)])
     options = dict(contact=law, carrier=carrier, sun=sun)
-    solve = jax.jit(lambda errors, angle, torque: loaded.equilibrium(
-        design, errors, input_angle=angle, output_torque=torque, **options))  # fmt: skip
+    solve = jax.jit(newton_alone()(lambda errors, angle, torque: loaded.equilibrium(
+        design, errors, input_angle=angle, output_torque=torque, **options)))  # fmt: skip
     for torque, play in ((412.0, 1.0), (-12.0, 1.0), (150.0, 0.0)):
         errors, angle = drawn(design, rng, play), rng.uniform(0, 600)
         due = oracle.equilibrium(design, errors, input_angle=angle, output_torque=torque, **options)

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from loaded_cases import NAMED, design_of, errors_of, plain, solve, supported
+from loaded_cases import NAMED, design_of, errors_of, newton_alone, plain, solve, supported
 
 from rvjax import loaded, models
 from rvjax.status import SolveInfo
@@ -40,6 +40,12 @@ SHARES = (1.0, 0.5, 0.03, -0.03, 1e-3, -1e-3)
 BENCHES = ("backlash", "bench_lost_motion", "torsional_stiffness")  # programs of their own: the long profile
 
 
+@newton_alone()
+def ask(outputs):
+    """Outputs of the reducer in a study, and their status."""
+    return Response.of(DESIGN, outputs, GIVEN)(ERRORS)
+
+
 def alone(angles, torque):
     """The equilibria at some input angles, every one for itself."""
     found = [solve(DESIGN, ERRORS, angle, torque, contact="linear") for angle in angles]
@@ -50,7 +56,7 @@ def test_every_output_is_what_its_equilibria_show(thorough):
     """1e-9: Newton's end, 1e-13 of the largest force, times a condition of 1e3; at the probe torque, where play
     decides, 1e-6 (condition 1e7 of rounding, with a margin of ten)."""
     asked = ALL if thorough else tuple(name for name in ALL if name not in BENCHES)
-    found = Response.of(DESIGN, asked, GIVEN)(ERRORS)
+    found = ask(asked)
     assert int(found.status) == 0
     values = {name: float(value) for name, value in found.value.items()}
     first, second, light = (alone(ALONG, torque) for torque in (RATED, 165.0, 1e-3 * RATED))
@@ -92,7 +98,7 @@ def test_outputs_of_a_bench_are_those_of_its_rotations(monkeypatch):
         return rotation, SolveInfo(jnp.int32(0), jnp.int32(5), 0 * angle)
 
     monkeypatch.setattr(loaded.outputs, "twisted", twisted)
-    found = Response.of(DESIGN, BENCHES, GIVEN)(ERRORS).value
+    found = ask(BENCHES).value
     assert set(seen) == {(RATED, 1e-3), (RATED, 0.03), (RATED, 1.0, 0.5)}
     play, secant = np.max(told[:, 0, 0] - told[:, 0, 1]), 0.5 * RATED / (told[:, 1, 1] - told[:, 0, 1])
     for name, due in zip(BENCHES, (play, play, np.min(secant))):
@@ -116,7 +122,7 @@ def test_outputs_of_the_same_equilibria_share_them(monkeypatch):
 
     def solved(*outputs):
         calls.clear()
-        Response.of(DESIGN, outputs, GIVEN)(ERRORS)
+        ask(outputs)
         return [calls.count(name) for name in names]
 
     assert solved("loaded_transmission_error", "pin_force", "order_amplitude", "disc_sharing") == [1, 0, 0]

@@ -102,6 +102,10 @@ def wave(harmonic, stiffness=MACHINE.stiffness):
 UNLIKE = MACHINE.stiffness.replace(turning_arm_bearing=np.array([[7e8] * 3, [8e8] * 3]))
 
 
+# The program of slopes over a turn is long; by default a wave of the support, below, has its closed form.
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("harmonic", [1, 2, 3])
 def test_a_wave_of_the_housing_appears_at_its_orders_only(harmonic):
     """Unequal discs, that odd P is seen; all of 1e-5 of the largest and more, those below 1e-10 are rounding."""
@@ -113,11 +117,13 @@ def test_a_wave_of_the_housing_appears_at_its_orders_only(harmonic):
     assert found[low].min() > 1e-5 * top
 
 
+@pytest.mark.long
 def test_equal_opposed_discs_cancel_odd_multiples():
     """The sum of both discs has P = 0, 2, 4 ..; with unequal ones the same wave gives 0.9 arcsec of order 39."""
     assert wave(1).max() < 1e-12 and wave(1, UNLIKE)[39] > 0.5
 
 
+@pytest.mark.long
 def test_an_unequal_crank_breaks_the_rule():
     """What the tests above are to see."""
     seats = MACHINE.stiffness.replace(support_bearing=np.array([8e8, 7e8, 7e8]))
