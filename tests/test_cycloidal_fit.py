@@ -72,7 +72,7 @@ def random_lines(count):
     return Lines(gaps[0], 5e-3 * pins), Lines(gaps[1], 0.02 * holes)
 
 
-COUNT = 80
+COUNT = 120
 
 
 def programme(pins, holes):

@@ -276,6 +276,7 @@ def test_figures_of_the_geometry():
     assert pressure == pytest.approx(math.sqrt(load / (math.pi * share) * (1 / 6e-3 - 1 / 7.26e-3)), rel=1e-6)
 
 
+@pytest.mark.long  # test_cycloidal_fit.py has the fit, test_init_drives.py the share that a study tells
 def test_the_share_of_units_that_jam(tmp_path, capsys):
     """Flanks alone vary, about 10 um with 3 sigma = 30 um, in holes that are wider: a share of Phi(-1) jams."""
     vary = text(

@@ -21,6 +21,7 @@ from rvjax.records import promote
 RATING = 23759.782321641203  # N, worked by hand
 ANGLES = 2 * np.pi * np.arange(36) / 36
 ALIKE = np.ones(36)
+SLOPES = ["basic", pytest.param("raceway", marks=pytest.mark.long), "slices"]  # a program each; laminae are of raceways
 
 
 def fixed(size):
@@ -148,7 +149,7 @@ def test_weights_are_shares_of_revolutions(method):
     assert float(found.life) == pytest.approx(float(want.life), rel=1e-9)
 
 
-@pytest.mark.parametrize("method", ["basic", pytest.param("raceway", marks=pytest.mark.long), "slices"])
+@pytest.mark.parametrize("method", SLOPES)
 def test_derivatives_are_those_of_the_plain_value(method):
     """Every number along a random direction. Steps of 1e-4: differences are good to 1e-7 of the value, slices are
     solved to 1e-13."""
@@ -170,7 +171,7 @@ def test_derivatives_are_those_of_the_plain_value(method):
         assert np.vdot(jax.tree.leaves(slope)[number], step) == pytest.approx(due, rel=1e-5, abs=1e-9), number
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", SLOPES)
 def test_no_load_is_an_infinite_life_with_zero_slope(method):
     some = fixed(100.0)
     some[5:9] = 0.0
@@ -181,7 +182,7 @@ def test_no_load_is_an_infinite_life_with_zero_slope(method):
     assert all(np.isfinite(leaf[1]).all() for leaf in jax.tree.leaves(slope)) and np.any(slope[1][1])
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", SLOPES)
 def test_a_bad_case_leaves_its_neighbours(method):
     force, weight = fixed(1000.0), ALIKE.copy()
     force[3, 0], weight[0] = np.nan, -1.0

@@ -4,6 +4,8 @@ Oracle: properties of the start and of the shortened step, from the contacts at 
 elsewhere.
 """
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -80,31 +82,36 @@ def test_every_disc_starts_where_its_first_pin_touches(share):
     assert (x * normal[0] + y * normal[1] < 0).mean() > 0.95  # the pin pushes the disc onto its bearing
 
 
-def test_no_contact_is_deeper_after_a_step_than_its_load_presses():
-    s = batch(DRIVE.conditions.rated_torque)
-    q = np.asarray(touching(LAYOUT, s))
-    step = 1e-3 * np.random.default_rng(1).standard_normal(q.shape)
-    at = jax.tree.map(np.asarray, contacts(LAYOUT, s, q))
-    forces = at.pins.force.max((0, 1)), at.joints.force.max(0), np.abs(at.bearings.force).max((0, 1))
-    size = np.maximum.reduce(forces)
-    short = np.asarray(shortened(LAYOUT, s, q, at, size, step))
-    share = short / step
-    np.testing.assert_allclose(share, np.broadcast_to(share[0], share.shape), rtol=1e-12)
-    assert (share > 0).all() and (share < 1).all()
-    force = np.maximum(size, np.abs(s.load))
-    holes, w = displaced(s, q + short)
+@jax.jit
+def stepped(s, step):
+    """Shares of a step from the start, how much deeper than its load presses each contact is then, and a tiny step."""
+    q = touching(LAYOUT, s)
+    at = contacts(LAYOUT, s, q)
+    forces = at.pins.force.max((0, 1)), at.joints.force.max(0), jnp.abs(at.bearings.force).max((0, 1))
+    size = functools.reduce(jnp.maximum, forces)
+    short = shortened(LAYOUT, s, q, at, size, step)
+    force = jnp.maximum(size, jnp.abs(s.load))
+    (_, start), (holes, w) = displaced(s, q), displaced(s, q + short)
     excess = []
     for depth, before, law, compliance, level in (
         (depths(LAYOUT, s, q + short), at.pins.depth, LAYOUT.law, s.pins.compliance[None], s.pins.level),
         (holes, at.joints.depth, "hertz", s.joints.compliance, s.joints.level),
     ):
-        deep = np.maximum(laws.depth(law, np.broadcast_to(force, depth.shape), compliance, level), 2 * before)
+        deep = jnp.maximum(laws.depth(law, jnp.broadcast_to(force, depth.shape), compliance, level), 2 * before)
         excess.append(((depth - deep) / deep).reshape(-1, force.size))
-    _, before = displaced(s, q)
-    reach = np.maximum(s.bearings.clearance + force / s.bearings.stiffness, 2 * np.linalg.norm(before, axis=1))
-    excess.append(np.linalg.norm(w, axis=1) / reach - 1)
-    np.testing.assert_allclose(np.max(np.concatenate(excess), axis=0), 0, atol=1e-9)  # exactly one ends the step
-    tiny = shortened(LAYOUT, s, q, at, size, 1e-9 * step)
+    own = s.bearings.clearance + jnp.broadcast_to(force, (len(w), force.size)) / s.bearings.stiffness
+    reach = jnp.maximum(own, 2 * jnp.linalg.norm(start, axis=1))
+    excess.append(jnp.linalg.norm(w, axis=1) / reach - 1)
+    return short / step, jnp.concatenate(excess), shortened(LAYOUT, s, q, at, size, 1e-9 * step)
+
+
+def test_no_contact_is_deeper_after_a_step_than_its_load_presses():
+    s = batch(DRIVE.conditions.rated_torque)
+    step = 1e-3 * np.random.default_rng(1).standard_normal((LAYOUT.unknowns, UNITS * ANGLES))
+    share, excess, tiny = jax.device_get(stepped(s, step))
+    np.testing.assert_allclose(share, np.broadcast_to(share[0], share.shape), rtol=1e-12)
+    assert (share > 0).all() and (share < 1).all()
+    np.testing.assert_allclose(np.max(excess, axis=0), 0, atol=1e-9)  # exactly one ends the step
     np.testing.assert_array_equal(tiny, 1e-9 * step)
 
 

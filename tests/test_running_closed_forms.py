@@ -5,7 +5,7 @@ import functools
 import numpy as np
 import pytest
 import running_cases as cases
-from loaded_cases import newton_alone, plain
+from loaded_cases import plain
 from scipy.special import ellipe
 
 from rvjax import Bearings, Friction, Status, loaded, running
@@ -28,7 +28,7 @@ def simple():
 SIMPLE = plain(Friction(0.05, None, 0.002, 0.0015, 0.01, input_drag=0.05, output_drag=8.0, static_factor=1.2))
 
 
-@newton_alone()
+@pytest.mark.long  # the cases of an independent evaluation, test_running.py, have every place by default
 def test_closed_forms_of_every_place():
     """The handbook's formula of the pins, elliptic integrals of the bearings, gears: Eqs. 19 to 24."""
     design, errors = simple()
