@@ -249,7 +249,8 @@ def test_the_minimum_has_the_slope_of_the_law_of_a_hole():
 
 def test_the_last_cases_of_a_wide_block_go_on_in_a_narrow_one(monkeypatch):
     """One block of all 100 cases, as on a GPU, and one of them that is not solved: the others as each alone, in as many
-    steps; a second loop has a sixteenth of the lanes."""
+    steps; a second loop has a sixteenth of the lanes. One of them is left by Newton's method, here after nine steps,
+    and goes on by the interior point method in a second round."""
     layout, many = ONE, 100
     draw = np.random.default_rng(0)
     torques, angles = 5 * draw.uniform(0.01, 1, many) * draw.choice([-1, 1], many), draw.uniform(0, 100, many)
@@ -259,7 +260,9 @@ def test_the_last_cases_of_a_wide_block_go_on_in_a_narrow_one(monkeypatch):
     alone = [solved(layout, case)[2] for case in cases[1:]]
     monkeypatch.setattr(newton, "EQUILIBRIA", Size(1000, 1000))
     monkeypatch.setattr(newton, "_WIDE", many - 1)
-    lowered = jax.jit(lambda *given: newton.minimise(layout, *given)).lower(s, start)
+    monkeypatch.setattr(newton, "DIRECT", 9)
+    whole = layout._replace(interior=True)
+    lowered = jax.jit(lambda *given: newton.minimise(whole, *given)).lower(s, start)
     text = lowered.as_text()
     assert all(f"tensor<{layout.unknowns}x{lanes}xf64>" in text for lanes in (many, many // 16))
     found = jax.device_get(lowered.compile()(s, start))
@@ -268,6 +271,7 @@ def test_the_last_cases_of_a_wide_block_go_on_in_a_narrow_one(monkeypatch):
     assert np.all(due.converged) and np.all(found.converged)
     largest = np.max(np.abs(due.q), axis=1, keepdims=True)
     np.testing.assert_allclose(found.q / largest, due.q / largest, rtol=0, atol=1e-8)
-    assert np.max(due.steps) > 2 * np.median(due.steps)  # there were slow ones
+    by_newton = due.steps <= 9
+    assert np.max(due.steps) > 2 * np.median(due.steps) and np.sum(~by_newton) == 1  # there were slow ones
     assert np.mean(found.steps != due.steps) < 0.15  # the last ones forget how long they stalled
-    np.testing.assert_allclose(np.mean(found.steps), np.mean(due.steps), rtol=0.1)
+    np.testing.assert_allclose(np.mean(found.steps[by_newton]), np.mean(due.steps[by_newton]), rtol=0.1)
