@@ -249,8 +249,8 @@ def test_the_minimum_has_the_slope_of_the_law_of_a_hole():
 
 def test_the_last_cases_of_a_wide_block_go_on_in_a_narrow_one(monkeypatch):
     """One block of all 100 cases, as on a GPU, and one of them that is not solved: the others as each alone, in as many
-    steps; a second loop has a sixteenth of the lanes. One of them is left by Newton's method, here after nine steps,
-    and goes on by the interior point method in a second round."""
+    steps; a second loop has a sixteenth of the lanes. Some of the last are left by Newton's method, here after nine
+    steps, and go on by the interior point method in a second round."""
     layout, many = ONE, 100
     draw = np.random.default_rng(0)
     torques, angles = 5 * draw.uniform(0.01, 1, many) * draw.choice([-1, 1], many), draw.uniform(0, 100, many)
@@ -271,7 +271,7 @@ def test_the_last_cases_of_a_wide_block_go_on_in_a_narrow_one(monkeypatch):
     assert np.all(due.converged) and np.all(found.converged)
     largest = np.max(np.abs(due.q), axis=1, keepdims=True)
     np.testing.assert_allclose(found.q / largest, due.q / largest, rtol=0, atol=1e-8)
-    by_newton = due.steps <= 9
-    assert np.max(due.steps) > 2 * np.median(due.steps) and np.sum(~by_newton) == 1  # there were slow ones
+    by_newton = found.steps <= 9
+    assert np.max(due.steps) > 2 * np.median(due.steps) and 1 <= np.sum(~by_newton) <= many // 16  # of the last ones
     assert np.mean(found.steps != due.steps) < 0.15  # the last ones forget how long they stalled
     np.testing.assert_allclose(np.mean(found.steps[by_newton]), np.mean(due.steps[by_newton]), rtol=0.1)
