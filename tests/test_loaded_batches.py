@@ -189,10 +189,10 @@ def solve_single(*given):
 def test_single_precision():
     """The aim for loaded cases: error 1e-4 relative + 1e-8 rad, forces 1e-3 of the largest. A few ill-conditioned units
     of a hundred miss it, by up to the rounding of their gaps times a condition of 1e4: 5e-4. Linear pins; the contact
-    laws have their own test."""
+    laws have their own test. The first 50 units."""
     errors = jax.device_get(sampled(UNITS))
-    singles = [solve_single(supported(DESIGN, 1e9), unit(errors, n), ANGLES[0], RATED) for n in range(UNITS)]
-    doubles = [solve(DESIGN, unit(errors, n), ANGLES[0], RATED, contact="linear") for n in range(UNITS)]
+    singles = [solve_single(supported(DESIGN, 1e9), unit(errors, n), ANGLES[0], RATED) for n in range(UNITS // 2)]
+    doubles = [solve(DESIGN, unit(errors, n), ANGLES[0], RATED, contact="linear") for n in range(UNITS // 2)]
     single, double = (jax.tree.map(lambda *leaves: np.stack(leaves), *ones) for ones in (singles, doubles))
     assert single.error.dtype == jnp.float32
     assert np.all(single.info.status == Status.CONVERGED)
