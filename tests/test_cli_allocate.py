@@ -15,6 +15,7 @@ from cli_study import PICTURES, SMALL, TARGET, UNITS
 import rvjax
 import rvjax.commands.allocate.answer
 from rvjax import cli, render
+from rvjax.commands import forecast
 from rvjax.commands.allocate import answer, report_on
 from rvjax.commands.budget.budgets import scalar_budget
 from rvjax.commands.forecast import (
@@ -287,7 +288,8 @@ certificate_samples = 16000
 """
 
 
-def test_infeasible_requirements_are_refused_with_the_shortfall(undrawn, here, capsys):
+def test_infeasible_requirements_are_refused_with_the_shortfall(undrawn, here, capsys, monkeypatch):
+    monkeypatch.setattr(forecast, "OF_QUICK", dataclasses.replace(forecast.OF_QUICK, before=1000))
     text = PLAY.replace('upper = "2 arcmin"', 'upper = "0.1 arcmin"')
     (here / "hard.toml").write_text(text)
     assert cli.main(["allocate", "hard.toml", "--quiet"]) == 1
@@ -295,6 +297,7 @@ def test_infeasible_requirements_are_refused_with_the_shortfall(undrawn, here, c
     assert "INFEASIBLE" in printed and "limit of lost_motion would have to move by" in printed
     result = json.loads((here / "results" / "hard" / "result.json").read_text())
     assert not result["feasible"] and 0 < result["shortfall"]["lost_motion"] < 3e-4
+    assert result["certificate_before"]["samples"] == 1000 < result["certificate"]["samples"]
     assert cli.main(["allocate", "hard.toml", "--quiet"]) == 1
     assert "Unchanged since results/hard" in capsys.readouterr().out
     assert cli.main(["report", "hard.toml", "--quiet", "--output", "hard.html"]) == 1

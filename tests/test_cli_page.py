@@ -18,7 +18,7 @@ from cli_study import PICTURES, SMALL, UNITS
 import rvjax
 import rvjax.commands.allocate.answer
 from rvjax import cli, study
-from rvjax.commands import report as command
+from rvjax.commands import forecast, report as command
 from rvjax.commands.allocate import report_on, requirement_table
 from rvjax.commands.cells import met_text
 from rvjax.commands.forecast import targets
@@ -134,6 +134,10 @@ def test_the_page_of_a_stored_answer_computes_no_answer_and_makes_no_folder(
     assert cli.main(["report", "small.toml", "--quiet", "--fresh"]) == 0 and b"Worst units" in place.read_bytes()
     place.write_bytes(before[:-100])  # not to its end
     assert cli.main(["report", "small.toml", "--quiet"]) == 0 and place.read_bytes() == before
+    dear = dataclasses.replace(forecast.OF_QUICK, sliders=False)
+    monkeypatch.setattr(forecast, "OF_QUICK", dear)  # as if units took long
+    assert cli.main(["report", "small.toml", "--quiet", "--output", "plain.html"]) == 0
+    assert "rvjax report small.toml --sliders adds sliders" in Path("plain.html").read_text("utf-8")
     (here / "results" / "small" / "answer.npz").write_bytes(b"damaged")
     assert cli.main(["report", "small.toml", "--quiet"]) == 2
     assert "computed again" in capsys.readouterr().err

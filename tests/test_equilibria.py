@@ -3,6 +3,7 @@
 import pytest
 
 from rvjax import levels, study
+from rvjax.commands import forecast
 from rvjax.commands.allocate import answer
 from rvjax.commands.forecast import (
     ALLOCATING,
@@ -109,3 +110,4 @@ def test_units_of_a_moved_middle_and_of_a_certificate():
     moving = study.parse_study(WHOLE + middle, name="mine", solve=False)
     assert 1.2 < solved_units(moving)[SEARCHING] / solved_units(whole)[SEARCHING] < 2
     assert solved_units(whole)[SAMPLING] == 128 * 21  # each of 20 errors of 128 units is sampled again
+    assert solved_units(whole)[CERTIFYING] == forecast.OF_COSTLY.before  # which a run solves of the given tolerances
