@@ -21,6 +21,7 @@ from rvjax.commands.budget import budgets, effects, error_budget, report_on, rep
 from rvjax.errors import STAGES
 from rvjax.population import Population, Tolerance, drawn, root_key
 from rvjax.render import Note, Table, write_files
+from rvjax.response import Part
 from rvjax.study import parse_study
 from rvjax.tolerances import Estimate, Influence
 from rvjax.units import arcsec
@@ -238,6 +239,24 @@ def test_which_studies_have_a_budget(question, monkeypatch):
     still = parse_study(TEXT.replace('"412 N m"', '"0 N m"'), name="still", solve=False)
     found = [budgets.budget_if_any(one) for one in (*asked, question, still)]
     assert found == ["rv-40e", "rv-40e-whole", None, "x", None]
+
+
+def test_the_page_of_a_loaded_study_has_the_budget_of_the_units_of_its_curve(monkeypatch):
+    """Of units that are made up: 768, or three for each of their numbers, and no unit under another load."""
+    monkeypatch.setattr(Part, "rows", lambda part, population, z, name: np.outer(z[0], np.sin(np.arange(24))))
+    made = budgets.budget_if_any(study.load("rv-40e-whole", solve=False))
+    assert made.linear and made.samples >= 768 and list(made.torque.values()) == [412.0]
+    assert made.title == "Transmission error of the loaded reducer over 9 deg of the output"
+
+
+def test_a_curve_of_too_many_angles_has_no_linear_budget():
+    """It is not among the numbers of the units: a turn of the output at 961 angles."""
+    whole = study.load("rv-40e-whole", solve=False)
+    conditions = dataclasses.replace(whole.conditions, span="output_turn", samples=961)
+    long = dataclasses.replace(whole, conditions=conditions)
+    assert budgets.curve_of(whole, None) == whole.curve and "9 deg of the output" in whole.curve.title
+    assert long.curve is not None and "a turn of the output" in budgets.curve_of(long, None).title
+    assert budgets.linear_budget(long, long.tolerances) is None
 
 
 def test_only_values_of_a_curve_have_its_budget():

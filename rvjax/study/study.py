@@ -336,8 +336,17 @@ class Study:
         """Curve for plots, or None."""
         found = models.kind(self.design).curve(tuple(self.requirements))
         name = next((name for name in self.requirements if models.kind(self.design).described[name].curve == found), "")
-        span = span_of(self.design, self.conditions, name) if found else ""
-        return found and dataclasses.replace(found, title=found.title.replace(SPAN, span or SPAN))
+        return found and self.titled(found, name)
+
+    def titled(self, curve: Curve, name: str) -> Curve:
+        """A curve with its span in the title.
+
+        Args:
+            curve: of the design.
+            name: of an output of its model.
+        """
+        span = span_of(self.design, self.conditions, name) if name else ""
+        return dataclasses.replace(curve, title=curve.title.replace(SPAN, span or SPAN))
 
     def output(self, name: str) -> Output:
         """Output of a response, shown in the measurement unit of its limit, with its span in words."""

@@ -188,9 +188,11 @@ def curve_of(study: Study, output: str | None) -> Curve | None:
         output: required response of the study.
     """
     described = models.kind(study.design).described
-    curves = (described[name].curve for name in (study.requirements if output is None else (output,)))
-    curve = next((curve for curve in curves if curve is not None and curve.turns is not None), None)
-    return None if output is not None and curve and curve.outputs and output not in curve.outputs else curve
+    curves = ((described[name].curve, name) for name in (study.requirements if output is None else (output,)))
+    curve, name = next(((c, name) for c, name in curves if c is not None and c.turns is not None), (None, ""))
+    if curve is None or (output is not None and curve.outputs and output not in curve.outputs):
+        return None
+    return study.titled(curve, name)
 
 
 @dataclass(frozen=True)
@@ -271,7 +273,7 @@ def linear_budget(study: Study, tolerances: object) -> Budget | None:
     curve = curve_of(study, None)
     response, population = study.response(), Population.of(tolerances)
     drawing = [part for part in parts(response, population) if getattr(part.response, "curve", False)]
-    if curve is None or curve is not study.curve or curve.turns is None or not drawing:
+    if curve is None or curve != study.curve or curve.turns is None or not drawing:
         return None
     torque = torque_of(study.conditions)
     numbers = sum(int(np.prod(t.shape)) for t in population.active.values())
