@@ -75,26 +75,27 @@ def results_folder(option: str | None, name: str, stored: Path | None = None) ->
         if folder.exists():
             raise ValueError(f"--results {option}: exists already; name a new folder")
     else:
-        folder = next(folder for folder in _numbered(Path("results") / name) if not folder.exists())
+        folder = next(own for own in map(Path("results").joinpath, _numbered(name)) if not own.exists())
     check_writable(folder)
     return folder
 
 
 def numbered_folders(name: str) -> list[Path]:
     """The results folders of a study that exist, in the order of their numbers."""
-    return [folder for folder in _numbered(Path("results") / name) if folder.is_dir()]
+    there = {folder.name for folder in Path("results").glob("*") if folder.is_dir()}
+    return [Path("results") / numbered for numbered in _numbered(name) if numbered in there]
 
 
-def _numbered(folder: Path) -> Iterator[Path]:
-    """A folder, and those that replace it where it exists."""
-    yield folder
-    yield from (folder.with_name(f"{folder.name}-{k}") for k in range(2, 10_000))
+def _numbered(name: str) -> Iterator[str]:
+    """Name of a folder, and those of others that replace it where it exists."""
+    yield name
+    yield from (f"{name}-{k}" for k in range(2, 10_000))
 
 
 def new_folder(folder: Path) -> Path:
     """Make a folder, or the next free one where another run made it first."""
     folder.parent.mkdir(parents=True, exist_ok=True)
-    for free in _numbered(folder):
+    for free in map(folder.with_name, _numbered(folder.name)):
         with contextlib.suppress(FileExistsError):
             free.mkdir()
             return free
