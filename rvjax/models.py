@@ -6,7 +6,8 @@ from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from typing import Any
 
-from rvjax.outputs import Curve, Description, Joint, Observation, Output, Source, Usual, Work
+from rvjax.outputs import Curve, Description, Extremes, Joint, Observation, Output, Source, Usual, Work
+from rvjax.records import Design, PyTree
 
 MODELS = (
     "rvjax.four_bar",
@@ -22,6 +23,10 @@ MODELS = (
 
 The first required output whose model has a curve gives the plot.
 """
+
+
+SPAN, WHOLE = "the span", "a turn of the output"
+"""In the meaning of an output: the part of a turn of the output along which it is read; the longest span."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,6 +59,11 @@ class Kind:
         """Curve of the first required output that has one; other curves may need what the design lacks."""
         asked = [self.described[name].curve for name in outputs]
         return next((c for c in asked if c is not None), None)
+
+    def extremes(self, outputs: Iterable[str]) -> Extremes | None:
+        """Extremes of the first required output that has some."""
+        asked = [self.described[name].extremes for name in outputs]
+        return next((extremes for extremes in asked if extremes is not None), None)
 
     def conditions_of(self, outputs: tuple[str, ...]) -> list[str]:
         """Names of the conditions that the models of some outputs read."""
@@ -131,3 +141,36 @@ def _joined(known: list[Description]) -> type:
             raise ValueError(f"condition {f.name!r} is declared in two ways")
     items: Any = [(name, Any, dataclasses.field(default=f.default, metadata=f.metadata)) for name, f in fields.items()]
     return dataclasses.make_dataclass("Conditions", items, frozen=True)
+
+
+def _turns(design: Design, conditions: object, name: str) -> float | None:
+    curve = kind(design).described[name].curve
+    return None if curve is None or curve.turns is None else curve.turns(design, conditions)
+
+
+def span_of(design: Design, conditions: object, name: str) -> str:
+    """Part of a turn of the output over which a response is read, in words; "" for a response of no curve.
+
+    Args:
+        design: the reducer.
+        conditions: of the study.
+        name: of the response.
+    """
+    turns = _turns(design, conditions, name)
+    return "" if turns is None else WHOLE if turns == 1 else f"{360 * turns:.3g} deg of the output"
+
+
+def over_a_turn(design: Design, conditions: PyTree, name: str, times: int = 1) -> PyTree:
+    """Conditions of a whole turn of the output at angles as dense as the given ones, or `times` as dense.
+
+    With one angle more, the angles of each crank turn differ, and no order of pins or holes looks like the mean.
+
+    Args:
+        design: the reducer.
+        conditions: of the study.
+        name: of a response with a span.
+        times: angles over those of the study, in a part of a turn.
+    """
+    turns = _turns(design, conditions, name)
+    assert turns is not None
+    return dataclasses.replace(conditions, span="output_turn", samples=times * round(conditions.samples / turns) + 1)

@@ -15,7 +15,7 @@ from rvjax.units import KNOWN, arcsec, readable, with_unit
 
 Solved = tuple[Any, Any]  # value and status
 Spectrum = tuple[Any, Any]  # mean and complex amplitudes of a curve
-Source = Callable[[Any, Any, Any], Any]  # (design, errors, conditions) -> a result
+Source = Callable[..., Any]  # (design, errors, conditions) -> a result
 Work = Callable[[Any], tuple[str, int]]  # (conditions) -> kind and number of the equilibria of a result
 
 
@@ -219,6 +219,26 @@ class Curve:
     outputs: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True)
+class Extremes:
+    """Extremes of curves along a span, found at few of its angles: a study chooses them for each unit.
+
+    Attributes:
+        source: result that is read; it takes angles (m,) after the conditions.
+        outputs: that read nothing but extremes of it.
+        angles: (design, conditions) -> all angles of the span, (n,) rad.
+        curves: (design, errors, conditions, angle) -> numbers (c,), whose curves have the extremes: of the first one
+            the lowest and highest places count, of others the highest.
+        solved: (conditions) -> angles that are solved in each unit, None for all.
+    """
+
+    source: Source
+    outputs: tuple[str, ...]
+    angles: Callable[[Any, Any], Any]
+    curves: Callable[[Any, Any, Any, Any], Any]
+    solved: Callable[[Any], int | None]
+
+
 def _once(_: object) -> int:
     """One period in a turn of the output."""
     return 1
@@ -342,6 +362,7 @@ class Description:
         usual: usual limits by output, also those of outputs of models above it.
         work: equilibria that a result of it takes; their measured times are in `rvjax.levels`.
         quick: outputs of a model with such work that take none, but microseconds.
+        extremes: results of which a unit needs few angles, or None.
     """
 
     name: str
@@ -358,6 +379,7 @@ class Description:
     usual: Mapping[str, Usual] = dataclasses.field(default_factory=dict)
     work: Mapping[Source, Work] = dataclasses.field(default_factory=dict)
     quick: tuple[str, ...] = ()
+    extremes: Extremes | None = None
 
     @property
     def designs(self) -> tuple[type, ...]:

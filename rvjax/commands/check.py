@@ -31,7 +31,6 @@ from rvjax.study import (
     number_at,
     numbers,
     outcome_of,
-    over_a_turn,
     shown,
 )
 
@@ -129,7 +128,7 @@ def _over_a_turn(study: Study) -> dict[str, list[float]]:
 
 def _finer(study: Study) -> DriveConditions:
     """Conditions of a whole turn at more angles."""
-    return over_a_turn(study.design, study.conditions, next(iter(study.spans)), FINER)
+    return models.over_a_turn(study.design, study.conditions, next(iter(study.spans)), FINER)
 
 
 def _larger_text(study: Study, larger: Mapping[str, list[float]]) -> str:

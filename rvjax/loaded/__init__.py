@@ -28,6 +28,7 @@ from rvjax.loaded.observation import (
     DriveConditions as DriveConditions,
     LoadedConditions as LoadedConditions,
     check_carrying as check_carrying,
+    input_angles as input_angles,
     turn as turn,
     turns_of as turns_of,
     ways as ways,

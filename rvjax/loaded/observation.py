@@ -23,9 +23,9 @@ from rvjax.designs import RVReducer
 from rvjax.errors import Errors, RVErrors
 from rvjax.loaded.bench import SHARES, Reading, reading
 from rvjax.loaded.case import SUPPORTS
-from rvjax.loaded.equilibrium import check_input, equilibrium, error_alone, kind_of
+from rvjax.loaded.equilibrium import admit, check_input, equilibrium, error_alone, kind_of
 from rvjax.loaded.laws import CONTACTS
-from rvjax.loaded.revolution import Revolution, revolution
+from rvjax.loaded.revolution import Instants, Revolution, instants, revolution, summary
 from rvjax.loaded.system import Layout
 from rvjax.outputs import Observation, Spectrum, condition
 from rvjax.records import Array, Design, PyTree, Scalar
@@ -48,6 +48,9 @@ class DriveConditions:
     )
     span: str = condition("crank_turn", "along which the reducer turns", choices=SPANS)
     samples: int = condition(48, "input angles over the span", minimum=4, maximum=100_000)
+    chosen_angles: int = condition(
+        None, "of the samples that are solved in a unit, where its extremes are expected", minimum=6, maximum=1000
+    )
     order: int = condition(None, "periods in one turn of the output", minimum=1, maximum=50_000)
     pin_contact: str = condition("hertz", "contact law of discs and pins", choices=CONTACTS)
     carrier: str = condition("fixed", "centre of the carrier", choices=SUPPORTS)
@@ -112,9 +115,51 @@ def _along(design: RVReducer, errors: RVErrors, given: LoadedConditions, torque:
     )
 
 
-def turn(design: RVReducer, errors: RVErrors, given: LoadedConditions) -> Revolution:
-    """Along the span under the output torque."""
-    return _along(design, errors, given, given.output_torque)
+def turn(design: RVReducer, errors: RVErrors, given: LoadedConditions, angles: jax.Array | None = None) -> Revolution:
+    """Along the span under the output torque.
+
+    Args:
+        design: the reducer.
+        errors: of its parts.
+        given: conditions.
+        angles: of the input, (m,) rad, in the place of all over the span: extremes alone have a value.
+    """
+    if angles is None:
+        return _along(design, errors, given, given.output_torque)
+    return summary(_at(design, errors, given, angles), spaced=False)
+
+
+def _at(design: RVReducer, errors: RVErrors, given: LoadedConditions, angles: jax.Array) -> Instants:
+    design = errors.stiffened(design)
+    layout = check_input(design, errors, *ways(given).values())
+    read = admit(layout, design, errors, given.output_torque, 0.0)
+    each = jnp.asarray(angles, read.torque.dtype)
+    return instants(layout, read, jnp.broadcast_to(read.torque, each.shape), each, np.zeros(len(each), int))
+
+
+def input_angles(design: RVReducer, given: LoadedConditions) -> np.ndarray:
+    """Angles of the input over the span, (samples,) rad."""
+    return 2 * np.pi * design.ratio * turns_of(design, given) * np.arange(given.samples) / given.samples
+
+
+def decisive(design: RVReducer, errors: RVErrors, given: LoadedConditions, angle: jax.Array) -> jax.Array:
+    """Error and largest pressures (c,) at an input angle, the curves whose extremes are limited.
+
+    Args:
+        design: the reducer.
+        errors: of its parts.
+        given: conditions.
+        angle: () rad.
+    """
+    at = _at(design, errors, given, angle[None])
+    pressures = (at.loads[name] for name in ("largest_pressure", "largest_output_pressure"))
+    return jnp.stack([at.error[0], *(pressure[0] for pressure in pressures if pressure is not None)])
+
+
+def solved_angles(given: LoadedConditions) -> int | None:
+    """Angles of the span that are solved in each unit, None for all."""
+    most = given.chosen_angles
+    return None if most is None or most >= given.samples else most
 
 
 def second_turn(design: RVReducer, errors: RVErrors, given: LoadedConditions) -> Revolution:

@@ -29,14 +29,17 @@ from rvjax.loaded.observation import (
     DriveConditions,
     LoadedConditions,
     check_carrying,
+    decisive,
+    input_angles,
     second_turn,
+    solved_angles,
     turn,
     turns_of,
     unloaded_turn,
     ways,
 )
 from rvjax.loaded.revolution import Clearance, Revolution, clearance
-from rvjax.outputs import KNOWN_ERROR, Curve, Description, Output, Reading, Solved, Usual, number_of
+from rvjax.outputs import KNOWN_ERROR, Curve, Description, Extremes, Output, Reading, Solved, Usual, number_of
 from rvjax.status import SolveInfo, worst, worst_of
 from rvjax.units import MPa
 
@@ -168,12 +171,21 @@ def _of_turn(unit: str, meaning: str, name: str, refuse: Refuse | None = None, l
 
 
 def _along(conditions: LoadedConditions) -> tuple[str, int]:
-    return "turn", conditions.samples
+    return "turn", solved_angles(conditions) or conditions.samples
 
 
 def _on_bench(kind: str, conditions: LoadedConditions) -> tuple[str, int]:
     return kind, 2 * conditions.probe_angles
 
+
+EXTREMES = Extremes(
+    turn,
+    (
+        "loaded_transmission_error", "pin_force", "turn_pin_pressure", "arm_bearing_force", "support_bearing_force",
+        "crank_sharing", "disc_sharing", "loaded_pins", "hole_force", "hole_pressure",
+    ),
+    input_angles, decisive, solved_angles,
+)  # fmt: skip
 
 NEEDS = ("rated_torque",)
 PRESSURE = 2800 * MPa
@@ -266,6 +278,7 @@ DESCRIPTION = Description(
         turn: _along, second_turn: _along,
         BACKLASH: partial(_on_bench, "probe"), LOST_MOTION: partial(_on_bench, "bench"),
     },
+    extremes=EXTREMES,
 )  # fmt: skip
 
 _ALIKE = (

@@ -192,11 +192,12 @@ def _revolution(
     return summary(instants(layout, read, jnp.broadcast_to(read.torque, order.shape), step * order, before))
 
 
-def summary(equilibria: Instants) -> Revolution:
-    """The revolution of equally spaced instants.
+def summary(equilibria: Instants, *, spaced: bool = True) -> Revolution:
+    """The revolution of some instants.
 
     Args:
         equilibria: (n,) of one turn.
+        spaced: equally; False: mean and harmonics are NaN.
     """
     samples = len(equilibria.error)
     whole = worst_of(equilibria.info)
@@ -205,10 +206,13 @@ def summary(equilibria: Instants) -> Revolution:
     wave = jnp.fft.fft(jnp.where(fine, error, 0))[:HARMONICS] / samples
     wave = jnp.pad(wave, (0, HARMONICS - len(wave)))
     wave = wave + wave.at[0].set(0)  # X_0 once, all others twice
+    mean = jnp.mean(error)
+    if not spaced:
+        mean, wave = jnp.full_like(mean, jnp.nan), jnp.full_like(wave, jnp.nan)
     return Revolution(
         error=error,
         peak_to_peak=jnp.max(error) - jnp.min(error),
-        mean=jnp.mean(error),
+        mean=mean,
         harmonics=jnp.where(fine, wave, jnp.nan),
         **jax.tree.map(lambda load: jnp.where(fine, jnp.max(load), jnp.nan), equilibria.loads)
         | {"fewest_pins": jnp.where(fine, jnp.min(equilibria.loads["fewest_pins"]), jnp.nan)},

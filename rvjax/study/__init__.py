@@ -42,10 +42,8 @@ from rvjax.study.problem import (
 from rvjax.study.reader import EMBEDDED, embedded_names, load, parse_study, template as study_template
 from rvjax.study.response import (
     CURVE as CURVE,
-    WHOLE as WHOLE,
     Response as Response,
     outcome_of as outcome_of,
-    over_a_turn as over_a_turn,
     refuse as refuse,
 )
 from rvjax.study.sizes import COARSE as COARSE, Size, sizes_of

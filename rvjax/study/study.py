@@ -10,6 +10,7 @@ from rvjax.base.words import unknown
 from rvjax.catalogue import accept, fields_of
 from rvjax.levels import Choice, choose
 from rvjax.outputs import Curve, Output
+from rvjax.population import Population
 from rvjax.records import PyTree, Record, Scalar
 from rvjax.status import Status, worst
 from rvjax.study.design import (
@@ -26,14 +27,14 @@ from rvjax.study.goals import Price
 from rvjax.study.identification import Identification
 from rvjax.study.kinds import changed, kind_of
 from rvjax.study.response import (
-    SPAN,
-    WHOLE,
     DesignResponse,
+    Expected,
     Response,
     followed_bounds,
+    learned,
     outcome_of,
     refuse,
-    span_of,
+    takes_few,
 )
 from rvjax.study.tolerances import Form, by_error, forms, metadata, mid_points
 from rvjax.study.values import (
@@ -119,6 +120,24 @@ class Study:
             self._solved  # noqa: B018  (once)
         return self._response((*self.requirements, *self.losses))
 
+    @property
+    def units(self) -> Response:
+        """The response of many units, each solved at the angles that the conditions let it choose."""
+        return self.at_few(self.response())
+
+    @property
+    def chooses_angles(self) -> bool:
+        """True where a unit is solved at few angles of the span."""
+        return bool(self.requirements) and takes_few(self.response(solve=False), self.tolerances)
+
+    def at_few(self, response: Response) -> Response:
+        """A response of the study, solved at few angles of each unit where the conditions ask for it and it can be."""
+        return response.replace(expected=self._expected) if takes_few(response, self.tolerances) else response
+
+    @functools.cached_property
+    def _expected(self) -> Expected:
+        return learned(self.response(solve=False), Population.of(self.tolerances), self.seed)
+
     def _response(self, outputs: Iterable[str]) -> Response:
         """errors -> Outcome of some outputs, each at its level."""
         names, bounds = tuple(dict.fromkeys(outputs)), followed_bounds(self.tolerances)
@@ -136,7 +155,7 @@ class Study:
         if not self.requirements:
             raise StudyError(f"{self.name}: [requirement] limits no response of the units")
         response = self._response((*self.requirements, *self.losses, *self.without_errors))
-        return DesignResponse(response, tuple(sorted(self.given)), similar)
+        return DesignResponse(self.at_few(response), tuple(sorted(self.given)), similar)
 
     @property
     def without_errors(self) -> tuple[str, ...]:
@@ -320,16 +339,16 @@ class Study:
         said = [f"{line} (for {', '.join(names)})" if len(lines) > 1 else line for line, names in lines.items()]
         parts: dict[str, list[str]] = {}
         for name, span in self.spans.items():
-            if span != WHOLE:
+            if span != models.WHOLE:
                 parts.setdefault(span, []).append(name)
         return said + [f"more than {span} (for {', '.join(names)})" for span, names in parts.items()]
 
     @property
     def spans(self) -> dict[str, str]:
         """Part of a turn of the output in words, by limited response whose value is read along it."""
-        spans = {name: span_of(self.design, self.conditions, name) for name in self.requirements}
+        spans = {name: models.span_of(self.design, self.conditions, name) for name in self.requirements}
         outputs = models.kind(self.design).outputs
-        return {name: span for name, span in spans.items() if span and SPAN in outputs[name].meaning}
+        return {name: span for name, span in spans.items() if span and models.SPAN in outputs[name].meaning}
 
     @property
     def curve(self) -> Curve | None:
@@ -345,11 +364,11 @@ class Study:
             curve: of the design.
             name: of an output of its model.
         """
-        span = span_of(self.design, self.conditions, name) if name else ""
-        return dataclasses.replace(curve, title=curve.title.replace(SPAN, span or SPAN))
+        span = models.span_of(self.design, self.conditions, name) if name else ""
+        return dataclasses.replace(curve, title=curve.title.replace(models.SPAN, span or models.SPAN))
 
     def output(self, name: str) -> Output:
         """Output of a response, shown in the measurement unit of its limit, with its span in words."""
         output = models.kind(self.design).outputs[name]
-        meaning = output.meaning.replace(SPAN, span_of(self.design, self.conditions, name) or SPAN)
+        meaning = output.meaning.replace(models.SPAN, models.span_of(self.design, self.conditions, name) or models.SPAN)
         return dataclasses.replace(output, read_in=self.read_in.get(name, output.read_in), meaning=meaning)

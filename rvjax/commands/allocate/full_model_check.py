@@ -19,7 +19,7 @@ from rvjax.errors import described
 from rvjax.population import Estimate, Population, wilson
 from rvjax.render import Cell, Interval, Number, Quantity, Table, Text, Titled
 from rvjax.response import parts
-from rvjax.study import WHOLE, Response, Study, over_a_turn
+from rvjax.study import Response, Study
 from rvjax.tolerances import Requirement, monte_carlo
 
 UNITS = 2 * AT_ONCE
@@ -143,7 +143,8 @@ class Whole:
 def counterparts(study: Study) -> dict[str, str]:
     """Outputs of the whole reducer or turn, by requirement; empty where there is none or the design lacks parts."""
     if study.costly:
-        return {n: n for n, span in study.spans.items() if span != WHOLE and study.requirements[n].limits_values}
+        spans = {n: span for n, span in study.spans.items() if study.requirements[n].limits_values}
+        return {n: n for n, span in spans.items() if span != models.WHOLE or study.chooses_angles}
     design, outputs = study.design, models.kind(study.design).outputs
     found = {n: outputs[n].exact or n for n, item in study.requirements.items() if item.limits_values}
     lacks = any(getattr(design, part, None) is None for part in ("stiffness", "contact"))
@@ -163,8 +164,10 @@ def whole(study: Study, tolerances: object) -> Whole | None:
     if not outputs:
         return None
     given, turned = study.conditions, all(name == output for name, output in outputs.items())
-    if turned:  # its outputs over a whole turn
-        conditions = over_a_turn(study.design, given, next(iter(outputs)))
+    if turned and study.spans[next(iter(outputs))] == models.WHOLE:  # at all angles
+        conditions = given
+    elif turned:  # its outputs over a whole turn
+        conditions = models.over_a_turn(study.design, given, next(iter(outputs)))
         conditions = dataclasses.replace(conditions, samples=min(conditions.samples, TURN_ANGLES))
     else:
         rated = given.output_torque if given.rated_torque is None else given.rated_torque
@@ -233,8 +236,9 @@ def _moved(found: Whole, study: Study, name: str) -> str:
         limit_text(dataclasses.replace(limits, lower=limits.lower - by, upper=limits.upper + by), output)
         for by in (missing, -missing)
     )
+    where = "at the chosen angles" if study.chooses_angles else f"over {study.spans[name]}"
     wanted = f"about {goal} keep {limit_text(limits, output)} over a turn"
-    return f", {goal} {kept} (with a limit {needed} over {study.spans[name]}, {wanted})"
+    return f", {goal} {kept} (with a limit {needed} {where}, {wanted})"
 
 
 def unlimited_texts(found: Mapping[str, Unlimited], study: Study) -> list[str]:

@@ -234,7 +234,7 @@ def scalar_budget(study: Study, output: str, *, samples: int = 256, seed: int | 
         raise ValueError(f"samples = {samples}: must be at least {FEWEST} and at most {MOST}")
     seed = study.seed if seed is None else seed
     population = Population.of(study.tolerances)
-    response, chunk = study.response(), min(samples, BLOCK)
+    response, chunk = study.units, min(samples, BLOCK)
     with progress_bar(False, samples * len(population.active), "solving", "unit") as advance:
         (found,) = influences(
             response, study.tolerances, seed=seed, units=samples, chunk=chunk, names=(output,), advance=advance

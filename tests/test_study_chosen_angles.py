@@ -1,0 +1,151 @@
+"""Units solved where their extremes are expected: few angles of a turn of the output in the place of all.
+
+Oracles: the curves at all angles, from the program that learns; NumPy's choice; differences of the plain value.
+"""
+
+import types
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rvjax import models, study
+from rvjax.commands.allocate import full_model_check
+from rvjax.loaded.observation import turn
+from rvjax.population import Population, drawn, root_key
+from rvjax.response import elements
+from rvjax.response.parts import parts
+from rvjax.study import response as responses
+from rvjax.study.response import Expected, Response, learned, takes_few
+from rvjax.tolerances import Requirement
+from rvjax.units import arcmin
+
+ANGLES, CHOSEN = 97, 12
+ERROR, LOADED = "loaded_transmission_error", "turn_pin_pressure"
+
+
+def asked(**conditions):
+    """The embedded drive over a turn of the output, at few angles of each unit unless said otherwise."""
+    given = study.load("cycloidal-17", solve=False)
+    changed = dict(span="output_turn", samples=ANGLES, chosen_angles=CHOSEN) | conditions
+    limits = {ERROR: Requirement(upper=30 * arcmin, target=0.95), LOADED: given.requirements[LOADED]}
+    return replace(given, conditions=replace(given.conditions, **changed), requirements=limits)
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """The study, what it expects, and of eight units the errors and the curves at all angles, (8, n, c)."""
+    own = asked()
+    response, population = own.response(solve=False), Population.of(own.tolerances)
+    errors = np.asarray(elements(population, drawn(population, root_key(5), np.uint32(0), count=8)))
+    values, _ = responses._slopes(response, population, errors)
+    return own, learned(response, population, own.seed), population, errors, np.asarray(values)
+
+
+def test_a_unit_has_the_extremes_of_its_chosen_angles_and_loses_little(drive):
+    own, expected, population, errors, curves = drive
+    chosen = own.response(solve=False).replace(expected=expected)
+    (part,) = parts(chosen, population)
+    values, status, _ = part.of_elements(population, errors)
+    assert not status.any() and set(part.names) == {ERROR, LOADED}
+    of_units = [expected.angles_of(population.fill(population.by_field(unit))) for unit in errors.T]
+    numbers = np.stack([np.abs(expected.angles[:, None] - np.asarray(a)).argmin(axis=0) for a in of_units])
+    assert numbers.shape == (8, CHOSEN) and len({tuple(row) for row in numbers}) == 8  # each unit has its own
+    some = np.take_along_axis(curves, numbers[..., None], axis=1)
+    error, pressure = some[..., 0].max(axis=1) - some[..., 0].min(axis=1), some[..., 1].max(axis=1)
+    np.testing.assert_allclose(values[part.names.index(ERROR)], error, rtol=1e-9)
+    np.testing.assert_allclose(values[part.names.index(LOADED)], pressure, rtol=1e-9)
+
+    whole = curves[..., 0].max(axis=1) - curves[..., 0].min(axis=1)
+    equal = curves[:, np.linspace(0, ANGLES, CHOSEN, endpoint=False).astype(int), 0]
+    lost, by_equal = 1 - error / whole, 1 - (equal.max(axis=1) - equal.min(axis=1)) / whole
+    assert lost.min() > -1e-9 and lost.mean() < 0.12 < by_equal.mean()
+
+
+def test_what_is_expected_follows_the_errors(drive):
+    """Two thirds of the variance along the turn, for units that taught nothing; their mean curve explains a tenth."""
+    _, expected, population, errors, curves = drive
+    told = expected.middle[0] + np.einsum("ne,eu->un", expected.slopes[0], errors)
+    told, error = (curve - curve.mean(axis=1, keepdims=True) for curve in (told, curves[..., 0]))
+    assert ((told - error) ** 2).sum() < 0.4 * (error**2).sum()
+    assert expected.fields == tuple(population.active) and expected.slopes.shape == (3, ANGLES, len(errors))
+
+
+def test_each_part_of_the_span_gives_its_highest_and_lowest_place():
+    rng, n = np.random.default_rng(0), 10
+    middle, slopes, vector = rng.normal(size=(2, n)), rng.normal(size=(2, n, 3)), rng.normal(size=3)
+    unit = types.SimpleNamespace(a=jnp.asarray(vector[0]), b=jnp.asarray(vector[1:]))
+    expected = Expected(np.arange(n) / 10.0, middle, slopes, ("a", "b"), ((0, 1, 2), (0, -1, 3), (1, 1, 1)))
+    curve, other = middle + slopes @ vector
+    due = [*(k + np.argmax(curve[k : k + 5]) for k in (0, 5)), np.argmax(other)]
+    due[2:2] = [low + np.argmin(curve[low:high]) for low, high in ((0, 3), (3, 7), (7, 10))]
+    np.testing.assert_array_equal(np.asarray(jax.tree.map(jnp.asarray, expected).angles_of(unit)), np.array(due) / 10)
+
+
+@pytest.mark.parametrize(("solved", "curves"), [(7, 1), (6, 2), (6, 3), (16, 2), (24, 3), (25, 3), (1000, 3)])
+def test_all_angles_are_shared_out(solved, curves):
+    places = responses._places(solved, curves)
+    assert sum(parts for *_, parts in places) in (solved, solved - (curves == 1)) and min(parts for *_, parts in places) >= 1
+    assert places[0][2] == places[1][2] >= solved // 4 and {k for k, *_ in places} == set(range(curves))
+
+
+@pytest.mark.long  # slopes of units at all angles: test_cycloidal_loaded.py; the rule is the same
+def test_slopes_are_those_of_the_plain_value(drive):
+    own, expected, population, errors, _ = drive
+    (part,) = parts(own.response(solve=False).replace(expected=expected), population)
+    values, _, state = part.of_elements(population, errors)
+    k, direction = part.names.index(ERROR), np.random.default_rng(1).normal(size=(len(errors), 1)) * 1e-6
+    pull = np.zeros_like(values)
+    pull[k] = 1.0
+    slopes = (part.slopes_of_elements(population, errors, state, pull) * direction).sum(axis=0)
+    ahead, back = (part.of_elements(population, errors + sign * 1e-3 * direction)[0][k] for sign in (1, -1))
+    np.testing.assert_allclose(slopes, (ahead - back) / 2e-3, rtol=1e-4, atol=1e-9)
+
+
+def test_without_a_choice_all_angles_are_solved():
+    own = asked()
+    response = own.response(solve=False)
+    assert takes_few(response, own.tolerances) and own.chooses_angles
+    for changed in (dict(chosen_angles=None), dict(chosen_angles=ANGLES)):
+        assert not asked(**changed).chooses_angles and asked(**changed).units.expected is None
+    whole_curve = Response.of(own.design, (ERROR, "mean_shift"), replace(own.conditions, second_torque=1.0))
+    assert not takes_few(whole_curve, own.tolerances)  # a mean needs them
+    assert not takes_few(Response.of(own.design, ("backlash",), own.conditions), own.tolerances)
+    assert not takes_few(response, own.design.error_record())  # no unit differs from another
+
+
+def test_outputs_that_need_the_whole_curve_are_known():
+    """Of the outputs that read a turn, these read no extremes; one more must be thought of."""
+    for name in ("cycloidal-17", "rv-40e-whole"):
+        own = study.load(name, solve=False)
+        kind = models.kind(own.design)
+        few = kind.extremes((ERROR,))
+        response = replace(own.response(solve=False), outputs=tuple(kind.outputs))
+        reading = {output for output in kind.outputs if (None, turn) in response.read(output)}
+        assert reading - set(few.outputs) == {"mean_shift", "order_amplitude"} and few.source is turn
+
+
+def test_a_limit_that_chosen_angles_miss_is_said():
+    own = asked()
+    outputs = full_model_check.counterparts(own)
+    assert outputs == {ERROR: ERROR, LOADED: LOADED} and full_model_check.counterparts(asked(chosen_angles=None)) == {}
+    found = full_model_check.Whole(
+        share=full_model_check.wilson(90, 100, 0.95), units=100, within={ERROR: 1.0, LOADED: 0.9},
+        mean={ERROR: 1e-3, LOADED: 5e8}, output=outputs, failed=0, unread=(), angles=ANGLES, beyond={LOADED: 5e7},
+    )  # fmt: skip
+    text = full_model_check.whole_text(found, own)
+    assert (
+        "at 97 angles" in text
+        and "at the chosen angles, about" in text
+        and "over a turn of the output, about" not in text
+    )
+
+
+def test_the_forecast_counts_the_angles_that_are_solved():
+    work = models.kind(asked().design).work[turn]
+    assert work(asked().conditions) == ("turn", CHOSEN) and work(asked(chosen_angles=None).conditions) == (
+        "turn",
+        ANGLES,
+    )
