@@ -3,8 +3,8 @@
     python -m benchmarks.chosen_angles
 
 The peak to peak of the transmission error and the largest pin pressure of 1,024 units, of each embedded study with its
-initial tolerances, against 481 angles; equal angles and a crank turn beside them. Near the limit are units above three
-quarters of the value that 98.6 % of the units keep. Seconds are those of one core, best of three calls.
+initial tolerances, against 481 angles; the same of equal angles and of a crank turn. Near the limit are units above
+three quarters of the value that 98.6 % of the units keep. Seconds are those of one core, best of three calls.
 """
 
 import time

@@ -101,6 +101,10 @@ class Population(Record):
     def of(cls, tolerances: object, correlation: Correlation = None) -> Self:
         """Return a population from what users give: checked, and a constant 0 as None, which costs nothing.
 
+        Args:
+            tolerances: record or dict of tolerances, or a population.
+            correlation: of pairs of fields by their names.
+
         Raises:
             ValueError: a leaf that is neither a `Tolerance`, nor None, nor a number; no structure at all; a
                 distribution that does not fit its field; or a bad correlation.
@@ -153,6 +157,10 @@ class Population(Record):
         """Return the z of units `index` (n,): (numbers, n), units last so that every number is a vector of units.
 
         Unit i depends on the key and i only, independent of the rest of the batch.
+
+        Args:
+            key: by `key_of`.
+            index: of the units (n,).
         """
         return _normal(key, index, self.numbers)
 
@@ -220,7 +228,14 @@ class Population(Record):
 
 
 def drawn(population: Population, key: jax.Array, start: jax.Array | np.uint32 | int, *, count: int) -> jax.Array:
-    """Return the z of units start .. start + count - 1 (numbers, count); one program for all of so many numbers."""
+    """Return the z of units start .. start + count - 1 (numbers, count); one program for all of so many numbers.
+
+    Args:
+        population: that has these numbers.
+        key: by `key_of`.
+        start: number of the first unit.
+        count: of the units.
+    """
     return _drawn(key, start, numbers=population.numbers, count=count)
 
 

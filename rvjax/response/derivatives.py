@@ -199,7 +199,12 @@ def gradients(response: Response, population: Population, errors: np.ndarray, co
 
 @jax.jit
 def elements(population: Population, z: jax.Array) -> jax.Array:
-    """Errors (elements, n) of the active fields, one after the other, from z (numbers, n)."""
+    """Errors (elements, n) of the active fields, one after the other.
+
+    Args:
+        population: of the units.
+        z: (numbers, n) of the units.
+    """
     own = population.deviations(z).values()
     return jnp.concatenate([jnp.zeros((0, z.shape[-1]), z.dtype), *(v.reshape(-1, z.shape[-1]) for v in own)])
 
