@@ -14,9 +14,11 @@ import pytest
 from rvjax import models, study
 from rvjax.commands.allocate import full_model_check
 from rvjax.loaded.observation import turn
+from rvjax.loaded.revolution import Instants, summary
 from rvjax.population import Population, drawn, root_key
 from rvjax.response import elements
 from rvjax.response.parts import parts
+from rvjax.status import SolveInfo
 from rvjax.study import response as responses
 from rvjax.study.response import Expected, Response, learned, takes_few
 from rvjax.tolerances import Requirement
@@ -87,7 +89,10 @@ def test_each_part_of_the_span_gives_its_highest_and_lowest_place():
 @pytest.mark.parametrize(("solved", "curves"), [(7, 1), (6, 2), (6, 3), (16, 2), (24, 3), (25, 3), (1000, 3)])
 def test_all_angles_are_shared_out(solved, curves):
     places = responses._places(solved, curves)
-    assert sum(number for *_, number in places) in (solved, solved - (curves == 1)) and min(places)[2] >= 1
+    assert sum(number for *_, number in places) in (solved, solved - (curves == 1))
+    pressures = [number for k, _, number in places if k]
+    least = max(solved // 6, curves - 1) if curves > 1 else 0
+    assert sum(pressures) in (least, least + 1) and min(pressures, default=1) >= 1
     assert places[0][2] == places[1][2] >= solved // 4 and {k for k, *_ in places} == set(range(curves))
 
 
@@ -102,6 +107,16 @@ def test_slopes_are_those_of_the_plain_value(drive):
     slopes = (part.slopes_of_elements(population, errors, state, pull) * direction).sum(axis=0)
     ahead, back = (part.of_elements(population, errors + sign * 1e-3 * direction)[0][k] for sign in (1, -1))
     np.testing.assert_allclose(slopes, (ahead - back) / 2e-3, rtol=1e-4, atol=1e-9)
+
+
+def test_the_mean_of_chosen_angles_has_no_value():
+    error, force, one = jnp.array([1.0, 3.0, 2.0]), jnp.zeros((3, 1, 1, 2)), jnp.ones(3)
+    info = jax.vmap(lambda x: SolveInfo(jnp.int32(0), jnp.int32(1), 0 * x))(one)
+    names = ("largest_pin", "largest_pressure", "largest_arm_bearing", "largest_support_bearing", "disc_sharing")
+    loads = dict.fromkeys(names, one) | dict(crank_sharing=None, fewest_pins=one)
+    some, all_ = (summary(Instants(error, loads, force, force[:, 0], info), spaced=spaced) for spaced in (False, True))
+    assert some.peak_to_peak == all_.peak_to_peak == 2.0 and some.largest_pin == 1.0 and all_.mean == 2.0
+    assert np.isnan(some.mean) and np.isnan(some.harmonics).all() and np.isfinite(all_.harmonics[0])
 
 
 def test_without_a_choice_all_angles_are_solved():
