@@ -29,7 +29,7 @@ def made(response, upper, **others):
     return SimpleNamespace(
         study=SimpleNamespace(
             requirements=required,
-            response=lambda: response,
+            units=response,
             fields=names,
             tolerances=FIELDS,
             seed=0,

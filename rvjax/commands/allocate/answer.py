@@ -125,9 +125,9 @@ def answer(
             loaded study does not limit.
         tell: takes the warnings of the unit at the mid-points, a line each, before the search.
     """
+    response = study.units
     begin(SEARCHING)
     with progress_bar(progress, None, "checked", "unit") as advance:  # compiles the gradients: the longest wait
-        response = study.units
         population = Population.of(study.tolerances)
         refuse(status_without_errors(response, population))
         values, status = unit_at_mid_points(response, population)

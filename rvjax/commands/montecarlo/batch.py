@@ -25,7 +25,7 @@ def run(loaded: study.Study, **how: Any) -> Statistics:
         loaded: study that is sampled.
         **how: options of `rvjax.tolerances.monte_carlo`.
     """
-    response = loaded.units
+    response = loaded.at_few(loaded.response(solve=False))
     found = tolerances.monte_carlo(response, loaded.tolerances, requirements=loaded.requirements, **how)
     if found.failed == found.samples:
         loaded.response()  # says so where the unit without errors fails too
