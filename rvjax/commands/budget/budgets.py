@@ -14,7 +14,7 @@ c_f' S_ff c_f with the covariance S of the errors, less sigma^2 tr(S_ff (X' X)^-
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -119,6 +119,7 @@ def error_budget(
     """
     if not FEWEST <= samples <= MOST:
         raise ValueError(f"samples = {samples}: must be at least {FEWEST} and at most {MOST}")
+    study = _of_curves(study)
     curve = _curve(study, output)
     given = study.conditions
     name = torque_condition(given)
@@ -244,6 +245,17 @@ def scalar_budget(study: Study, output: str, *, samples: int = 256, seed: int | 
     return ScalarBudget(output, found, parts_of(study, population))
 
 
+CURVE_ANGLES = 251  # a prime number: the orders of pins and lobes fall on no other up to 125
+
+
+def _of_curves(study: Study) -> Study:
+    """The study with all angles of a curve in each unit, where units choose some."""
+    if not study.chooses_angles:
+        return study
+    fewer = dict(samples=min(study.conditions.samples, CURVE_ANGLES), chosen_angles=None)
+    return replace(study, conditions=replace(study.conditions, **fewer))
+
+
 PER_ELEMENT = 3  # units for each number of the errors, at least
 FEWEST_REGRESSED = 768
 
@@ -270,6 +282,7 @@ def linear_budget(study: Study, tolerances: object) -> Budget | None:
         study: design, conditions and requirements.
         tolerances: whose budget it is.
     """
+    study = _of_curves(study)
     curve = curve_of(study, None)
     response, population = study.response(), Population.of(tolerances)
     drawing = [part for part in parts(response, population) if getattr(part.response, "curve", False)]
