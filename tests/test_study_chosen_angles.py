@@ -13,6 +13,7 @@ import pytest
 
 from rvjax import models, study
 from rvjax.commands.allocate import full_model_check
+from rvjax.commands.budget.budgets import _of_curves
 from rvjax.loaded.observation import turn
 from rvjax.loaded.revolution import Instants, summary
 from rvjax.population import Population, drawn, root_key
@@ -83,7 +84,7 @@ def test_each_part_of_the_span_gives_its_highest_and_lowest_place():
     curve, other = middle + slopes @ vector
     due = [*(k + np.argmax(curve[k : k + 5]) for k in (0, 5)), np.argmax(other)]
     due[2:2] = [low + np.argmin(curve[low:high]) for low, high in ((0, 3), (3, 7), (7, 10))]
-    np.testing.assert_array_equal(np.asarray(jax.tree.map(jnp.asarray, expected).angles_of(unit)), np.array(due) / 10)
+    np.testing.assert_array_equal(np.asarray(jax.jit(lambda: expected.angles_of(unit))()), np.array(due) / 10)
 
 
 @pytest.mark.parametrize(("solved", "curves"), [(7, 1), (6, 2), (6, 3), (16, 2), (24, 3), (25, 3), (1000, 3)])
@@ -156,6 +157,14 @@ def test_a_limit_that_chosen_angles_miss_is_said():
         and "at the chosen angles, about" in text
         and "over a turn of the output, about" not in text
     )
+
+
+def test_a_budget_has_all_angles_of_a_curve():
+    given = _of_curves(asked(samples=481)).conditions
+    assert (given.samples, given.chosen_angles, given.span) == (251, None, "output_turn")
+    assert _of_curves(asked()).conditions.samples == ANGLES
+    whole = asked(chosen_angles=None)
+    assert _of_curves(whole) is whole
 
 
 def test_the_forecast_counts_the_angles_that_are_solved():

@@ -63,7 +63,8 @@ class Expected(Record):
         """
         vector = jnp.concatenate([jnp.ravel(getattr(errors, name)) for name in self.fields])
         curves = self.middle + self.slopes @ jax.lax.stop_gradient(vector)
-        return self.angles[jnp.concatenate([_highest(sign * curves[k], parts) for k, sign, parts in self.places])]
+        places = jnp.concatenate([_highest(sign * curves[k], parts) for k, sign, parts in self.places])
+        return jnp.asarray(self.angles)[places]
 
 
 def _highest(curve: jax.Array, parts: int) -> jax.Array:
