@@ -143,7 +143,6 @@ def test_geometry_first_ends_at_the_limit_that_its_price_leads_to(limits, price,
     assert geometry_first(study) == pytest.approx({"x": due}, rel=1e-6)
 
 
-@pytest.mark.xfail(reason="the module ends 0.1 % inside its bound, at 0.7 % more than the least cost")
 @pytest.mark.long  # the command below solves a smaller problem; tests/test_codesign.py has exact optima
 def test_the_mechanical_problem_of_the_reference():
     """Four-bar and lost motion with what follows the variables: cost within 1 %, numbers within their ranges.
