@@ -198,6 +198,7 @@ def test_every_result_has_the_line_on_its_clearances(monkeypatch):
         return {"hole_force": jnp.sum(errors.throw)}
 
     monkeypatch.setattr(type(made), "response", lambda self, *, solve=True: response)
+    monkeypatch.setattr(type(made), "units", property(lambda self: response))
     sampled = monte_carlo(response, made.tolerances, samples=16, seed=0, requirements=made.requirements)
     assert "Inaccurate: clearance up to 65 um of the flanks: above" in montecarlo.report_on(sampled, made).text()
     budget = budgets.scalar_budget(made, "hole_force", samples=16)
