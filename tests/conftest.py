@@ -11,7 +11,9 @@ say how far each one came, and which files took most CPU time and how many progr
 
 Tried without gain (60 small programs, three alternating runs, 2.0 to 2.4 s each way): XLA's thunks off, its scheduler
 for concurrency off. Nor on one program of a bearing life: fusion off (six times the compilation), no algebraic
-simplification (twice), a larger thread cache of malloc, no tracebacks of operations. Writing the kept programs costs
+simplification (twice), a larger thread cache of malloc, no tracebacks of operations. Nor on all tests (601 CPU s):
+bounds of 1.8 and 8 GB for a worker (626 and 643), on three files memory that glibc keeps, huge pages, and on two
+programs other sets of instructions. Writing the kept programs costs
 a fresh clone a tenth of the compilation of small ones, and a second run finds them.
 """
 
