@@ -4,6 +4,7 @@ Oracles: the truth table of the promise; closed forms of the normal law; problem
 """
 
 import dataclasses
+import importlib
 import itertools
 from types import SimpleNamespace
 
@@ -194,7 +195,7 @@ def test_costly_units_whose_limit_never_decides(monkeypatch):
     By the program of the search: another one takes half a minute to compile for a loaded reducer.
     """
     other = lambda *_, **__: pytest.fail("the response is solved as a whole")  # noqa: E731
-    monkeypatch.setattr("rvjax.response.parts.respond", other)
+    monkeypatch.setattr(importlib.import_module("rvjax.response.parts"), "respond", other)
     far = Requirement(lower=-2e-3, upper=2e-3, target=0.99)
     found = allocate(Costly(linear), PAIR, far, grades=True, **FEW)
     assert found.status == "OPTIMAL" and found.half_widths == pytest.approx({"a": 500 * um, "b": 500 * um})
