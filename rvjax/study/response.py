@@ -2,7 +2,7 @@
 
 Statistics and allocation use only the response `errors -> Outcome`, no gears; models use no statistics.
 
-Where the conditions ask for it a unit is solved at few angles of its span, where its extremes are expected: a curve of
+Where the conditions say so a unit is solved at few angles of its span, where its extremes are expected: a curve of
 the reducer at an angle is nearly linear in the errors of its parts, so that mean slopes predict the curve of any unit.
 Gain: 16 of 481 angles of a turn of the output lose 3 % of the peak to peak of an RV-40E; 97 equal ones take three times
 as long and lose 4.5 % (`benchmarks/chosen_angles.py`).
@@ -189,7 +189,7 @@ class Response(Record):
         return {(level, source) for source in read}
 
     def _extremes(self) -> Extremes | None:
-        """What is read at few angles of each unit."""
+        """Results that are read at few angles of each unit."""
         return None if self.expected is None else models.kind(self.design).extremes(self.outputs)
 
     def _joints(self) -> list[Joint]:

@@ -131,7 +131,7 @@ class Study:
         return bool(self.requirements) and takes_few(self.response(solve=False), self.tolerances)
 
     def at_few(self, response: Response) -> Response:
-        """A response of the study, solved at few angles of each unit where the conditions ask for it and it can be."""
+        """A response of the study, solved at few angles of each unit where its conditions and outputs allow it."""
         return response.replace(expected=self._expected) if takes_few(response, self.tolerances) else response
 
     @functools.cached_property
