@@ -73,14 +73,20 @@ def test_what_is_expected_follows_the_errors(drive):
     told = expected.middle[0] + np.einsum("ne,eu->un", expected.slopes[0], errors)
     told, error = (curve - curve.mean(axis=1, keepdims=True) for curve in (told, curves[..., 0]))
     assert ((told - error) ** 2).sum() < 0.4 * (error**2).sum()
-    assert expected.fields == tuple(population.active) and expected.slopes.shape == (3, ANGLES, len(errors))
+    assert [name for name, _ in expected.fields] == [*population.active] and expected.slopes.shape == (
+        3,
+        ANGLES,
+        len(errors),
+    )
 
 
 def test_each_part_of_the_span_gives_its_highest_and_lowest_place():
     rng, n = np.random.default_rng(0), 10
     middle, slopes, vector = rng.normal(size=(2, n)), rng.normal(size=(2, n, 3)), rng.normal(size=3)
     unit = types.SimpleNamespace(a=jnp.asarray(vector[0]), b=jnp.asarray(vector[1:]))
-    expected = Expected(np.arange(n) / 10.0, middle, slopes, ("a", "b"), ((0, 1, 2), (0, -1, 3), (1, 1, 1)))
+    expected = Expected(
+        np.arange(n) / 10.0, middle, slopes, (("a", ()), ("b", (2,))), ((0, 1, 2), (0, -1, 3), (1, 1, 1))
+    )
     curve, other = middle + slopes @ vector
     due = [*(k + np.argmax(curve[k : k + 5]) for k in (0, 5)), np.argmax(other)]
     due[2:2] = [low + np.argmin(curve[low:high]) for low, high in ((0, 3), (3, 7), (7, 10))]
@@ -118,6 +124,17 @@ def test_the_mean_of_chosen_angles_has_no_value():
     some, all_ = (summary(Instants(error, loads, force, force[:, 0], info), spaced=spaced) for spaced in (False, True))
     assert some.peak_to_peak == all_.peak_to_peak == 2.0 and some.largest_pin == 1.0 and all_.mean == 2.0
     assert np.isnan(some.mean) and np.isnan(some.harmonics).all() and np.isfinite(all_.harmonics[0])
+
+
+def test_errors_without_a_tolerance_count_as_zero(drive):
+    """A unit whose error is the number 0 has the angles of one with zeros in all places; results say what is left."""
+    own, expected, population, errors, _ = drive
+    unit = population.fill(population.by_field(errors[:, 0]))
+    field, shape = next((name, shape) for name, shape in expected.fields if shape)
+    angles = [np.asarray(expected.angles_of(unit.replace(**{field: zero}))) for zero in (0.0, np.zeros(shape))]
+    np.testing.assert_array_equal(*angles)
+    line = f"all but {CHOSEN} of {ANGLES} angles in each unit"
+    assert line in own.left_out and line not in asked(chosen_angles=None).left_out
 
 
 def test_without_a_choice_all_angles_are_solved():

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax import models
+from rvjax._jax.kernels import in_blocks
 from rvjax._jax.programs import ONCE
 from rvjax.base.words import unknown
 from rvjax.errors import Errors, described
@@ -50,7 +51,9 @@ class Expected(Record):
     angles: Array = field("rad", "of the input", shape=("n",))
     middle: Array = field("as the curves", "of a unit without errors", shape=("curves", "n"))
     slopes: Array = field("as the curves", "to the elements of the errors", shape=("curves", "n", "elements"))
-    fields: tuple[str, ...] = text("errors that the elements belong to, one after the other")
+    fields: tuple[tuple[str, tuple[int, ...]], ...] = text(
+        "errors of the elements, one after the other, and their shapes"
+    )
     places: tuple[tuple[int, int, int], ...] = text(
         "curve, 1 for its highest or -1 for its lowest places, their number"
     )
@@ -61,7 +64,8 @@ class Expected(Record):
         Args:
             errors: of the unit.
         """
-        vector = jnp.concatenate([jnp.ravel(getattr(errors, name)) for name in self.fields])
+        each = (jnp.broadcast_to(getattr(errors, name), shape) for name, shape in self.fields)
+        vector = jnp.concatenate([jnp.ravel(error) for error in each])
         curves = self.middle + self.slopes @ jax.lax.stop_gradient(vector)
         places = jnp.concatenate([_highest(sign * curves[k], parts) for k, sign, parts in self.places])
         return jnp.asarray(self.angles)[places]
@@ -308,21 +312,16 @@ def learned(response: Response, population: Population, seed: int) -> Expected:
     assert few is not None
     z = np.asarray(drawn(population, root_key(seed), np.uint32(0), count=UNITS))
     errors = np.asarray(elements(population, jnp.asarray(z)))
-    sums: list[np.ndarray] = []
-    for first in range(0, UNITS, AT_ONCE):
-        some = errors[:, first : first + AT_ONCE]
-        values, slopes = map(np.asarray, _slopes(response, population, some))  # (units, n, c), (units, n, c, elements)
-        at_zero = values - np.einsum("unce,eu->unc", slopes, some)
-        good = np.isfinite(at_zero) & np.isfinite(slopes).all(axis=-1)
-        parts = [np.where(good, at_zero, 0), np.where(good[..., None], slopes, 0), good]
-        sums = [part.sum(axis=0) + (sums[k] if sums else 0) for k, part in enumerate(parts)]
-    at_zero, slopes, count = sums[0], sums[1], np.maximum(sums[2], 1)
+    values, slopes = in_blocks(lambda some: _slopes(response, population, some.T), AT_ONCE, errors.T)
+    at_zero = values - np.einsum("unce,eu->unc", slopes, errors)  # (units, n, c)
+    good = np.isfinite(at_zero) & np.isfinite(slopes).all(axis=-1)
+    share = good / np.maximum(good.sum(axis=0), 1)
     return Expected(
         angles=few.angles(response.design, response.conditions),
-        middle=np.moveaxis(at_zero / count, 0, 1),
-        slopes=np.moveaxis(slopes / count[..., None], 0, 1),
-        fields=tuple(population.active),
-        places=_places(few.solved(response.conditions) or 0, at_zero.shape[1]),
+        middle=np.einsum("unc,unc->cn", share, np.where(good, at_zero, 0)),
+        slopes=np.einsum("unc,unce->cne", share, np.where(good[..., None], slopes, 0)),
+        fields=tuple((name, tolerance.shape) for name, tolerance in population.active.items()),
+        places=_places(few.solved(response.conditions) or 0, at_zero.shape[2]),
     )
 
 

@@ -341,7 +341,10 @@ class Study:
         for name, span in self.spans.items():
             if span != models.WHOLE:
                 parts.setdefault(span, []).append(name)
-        return said + [f"more than {span} (for {', '.join(names)})" for span, names in parts.items()]
+        said += [f"more than {span} (for {', '.join(names)})" for span, names in parts.items()]
+        if self.chooses_angles:  # of the span
+            said.append(f"all but {self.conditions.chosen_angles} of {self.conditions.samples} angles in each unit")
+        return said
 
     @property
     def spans(self) -> dict[str, str]:
