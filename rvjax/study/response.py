@@ -51,12 +51,8 @@ class Expected(Record):
     angles: Array = field("rad", "of the input", shape=("n",))
     middle: Array = field("as the curves", "of a unit without errors", shape=("curves", "n"))
     slopes: Array = field("as the curves", "to the elements of the errors", shape=("curves", "n", "elements"))
-    fields: tuple[tuple[str, tuple[int, ...]], ...] = text(
-        "errors of the elements, one after the other, and their shapes"
-    )
-    places: tuple[tuple[int, int, int], ...] = text(
-        "curve, 1 for its highest or -1 for its lowest places, their number"
-    )
+    fields: tuple[tuple[str, tuple[int, ...]], ...] = text("errors of the elements in turn, with shapes")
+    places: tuple[tuple[int, int, int], ...] = text("curve, 1 for highest or -1 for lowest, their number")
 
     def angles_of(self, errors: PyTree) -> jax.Array:
         """Input angles (m,) at which a unit is solved, rad: in each part of the span those of the expected extremes.
