@@ -14,18 +14,20 @@ import pytest
 from rvjax import models, study
 from rvjax.commands.allocate import full_model_check
 from rvjax.commands.budget.budgets import _of_curves
+from rvjax.commands.montecarlo import batch
 from rvjax.loaded.observation import turn
 from rvjax.loaded.revolution import Instants, summary
 from rvjax.population import Population, drawn, root_key
 from rvjax.response import elements
 from rvjax.response.parts import parts
 from rvjax.status import SolveInfo
-from rvjax.study import response as responses
+from rvjax.study import response as responses, study as definition
 from rvjax.study.response import Expected, Response, learned, takes_few
 from rvjax.tolerances import Requirement
 from rvjax.units import arcmin
 
 ANGLES, CHOSEN = 97, 12
+NONE_FAILED = types.SimpleNamespace(samples=10, failed=0)
 ERROR, LOADED = "loaded_transmission_error", "turn_pin_pressure"
 
 
@@ -78,6 +80,50 @@ def test_what_is_expected_follows_the_errors(drive):
         ANGLES,
         len(errors),
     )
+
+
+def test_units_that_fail_teach_nothing(monkeypatch):
+    """The mean is that of the other units; where all fail it is zero."""
+    own = asked()
+    population, rng = Population.of(own.tolerances), np.random.default_rng(0)
+    values, slopes = rng.normal(size=(8, ANGLES, 2)), rng.normal(size=(8, ANGLES, 2, population.numbers))
+    values[3], slopes[5, :, 1, 0] = np.nan, np.nan
+    values[:, 7] = np.nan
+    monkeypatch.setattr(responses, "_slopes", lambda *_: (values, slopes))
+    monkeypatch.setattr(responses, "UNITS", 8)
+    found = learned(own.response(solve=False), population, 0)
+    some = np.array([0, 1, 2, 4, 6, 7])
+    np.testing.assert_allclose(found.slopes[1, 0], slopes[some, 0, 1].mean(axis=0), rtol=1e-12)
+    np.testing.assert_allclose(found.slopes[0, 0], slopes[[*some, 5], 0, 0].mean(axis=0), rtol=1e-12)
+    assert not found.middle[:, 7].any() and not found.slopes[:, 7].any() and np.isfinite(found.middle).all()
+
+
+def test_units_of_every_command_choose_their_angles(monkeypatch):
+    fields, places = (("throw", ()),), ((0, 1, 1), (0, -1, 1))
+    one = Expected(np.zeros(ANGLES), np.zeros((1, ANGLES)), np.zeros((1, ANGLES, 1)), fields, places)
+    monkeypatch.setattr(definition, "learned", lambda *_: one)
+    own, sampled = asked(), []
+    assert own.units.expected is own.design_response().response.expected is one
+    monkeypatch.setattr(
+        batch.tolerances, "monte_carlo", lambda response, *_, **__: sampled.append(response) or NONE_FAILED
+    )
+    batch.run(own)
+    assert [response.expected for response in sampled] == [one]
+
+
+def test_the_check_at_all_angles_has_those_of_the_study(monkeypatch):
+    checked = []
+
+    def stop(response, *_, **__):
+        checked.append(response)
+        raise InterruptedError
+
+    monkeypatch.setattr(full_model_check, "monte_carlo", stop)
+    for own in (asked(), asked(span="crank_turn", samples=12, chosen_angles=6)):
+        with pytest.raises(InterruptedError):
+            full_model_check.whole(own, own.tolerances)
+    assert [response.conditions.samples for response in checked] == [ANGLES, 217]
+    assert all(response.expected is None and response.conditions.span == "output_turn" for response in checked)
 
 
 def test_each_part_of_the_span_gives_its_highest_and_lowest_place():
