@@ -27,7 +27,7 @@ from rvjax.commands.forecast import (
     SEARCHING,
     solved_units,
 )
-from rvjax.render import Report, results_folder, write_files
+from rvjax.render import Report, numbered_folders, results_folder, write_files
 from rvjax.tolerances import QUICK, units_of
 from rvjax.units import arcmin, um
 
@@ -347,3 +347,6 @@ def test_results_folders_are_never_overwritten(here):
     (here / "results" / "x").mkdir(parents=True)
     (here / "results" / "x-2").mkdir()
     assert str(results_folder(None, "x")) == "results/x-3"
+    (here / "results" / "x-7").write_text("a file")
+    (here / "results" / "x-10").mkdir()
+    assert [folder.name for folder in numbered_folders("x")] == ["x", "x-2", "x-10"]

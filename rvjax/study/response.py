@@ -310,7 +310,7 @@ def learned(response: Response, population: Population, seed: int) -> Expected:
     errors = np.asarray(elements(population, jnp.asarray(z)))
     values, slopes = in_blocks(lambda some: _slopes(response, population, some.T), AT_ONCE, errors.T)
     at_zero = values - np.einsum("unce,eu->unc", slopes, errors)  # (units, n, c)
-    good = np.isfinite(at_zero) & np.isfinite(slopes).all(axis=-1)
+    good = np.isfinite(at_zero)  # not where a slope is NaN either
     share = good / np.maximum(good.sum(axis=0), 1)
     return Expected(
         angles=few.angles(response.design, response.conditions),
