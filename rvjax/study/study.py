@@ -128,7 +128,7 @@ class Study:
     @property
     def chooses_angles(self) -> bool:
         """True where a unit is solved at few angles of the span."""
-        return bool(self.requirements) and takes_few(self.response(solve=False), self.tolerances)
+        return takes_few(self._response((*self.requirements, *self.losses)), self.tolerances)
 
     def at_few(self, response: Response) -> Response:
         """A response of the study, solved at few angles of each unit where its conditions and outputs allow it."""
@@ -265,7 +265,11 @@ class Study:
         Args:
             tolerances: of the result; by default those of the study.
         """
-        return kind_of(self.design).inaccurate(self.design, self.tolerances if tolerances is None else tolerances)
+        lines = kind_of(self.design).inaccurate(self.design, self.tolerances if tolerances is None else tolerances)
+        if not self.chooses_angles:
+            return lines
+        angles = f"{self.conditions.chosen_angles} of {self.conditions.samples} angles of the span"
+        return [*lines, f"each unit is solved at {angles}: its largest values may be larger"]
 
     @property
     def assumed(self) -> list[str]:
@@ -341,10 +345,7 @@ class Study:
         for name, span in self.spans.items():
             if span != models.WHOLE:
                 parts.setdefault(span, []).append(name)
-        said += [f"more than {span} (for {', '.join(names)})" for span, names in parts.items()]
-        if self.chooses_angles:  # of the span
-            said.append(f"all but {self.conditions.chosen_angles} of {self.conditions.samples} angles in each unit")
-        return said
+        return said + [f"more than {span} (for {', '.join(names)})" for span, names in parts.items()]
 
     @property
     def spans(self) -> dict[str, str]:
