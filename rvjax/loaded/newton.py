@@ -17,6 +17,7 @@ from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import DTypeLike
 
 from rvjax._jax.kernels import folded, stored
@@ -128,9 +129,15 @@ def minimise(layout: Layout, system: System, start: jax.Array) -> Minimum:
 
 
 def _working_first(s: System) -> System:
-    """The pins of every disc in another order: those first that the torque presses."""
-    pins = s.pins
-    order = jnp.argsort(pins.rows[:, 2] * s.load[:, None, None], axis=-1)
+    """The pins of every disc from another one on: those first that the torque presses, half of the circle.
+
+    They lie on one side of the line through the centres of ring and disc. Sorting by the lever takes 4.6 us a case in
+    the place of 0.2.
+    """
+    pins, count = s.pins, s.pins.rows.shape[-1]
+    pressed = pins.rows[:, 2] * s.load[:, None, None] < 0
+    first = jnp.argmax(pressed & ~jnp.roll(pressed, 1, axis=-1), axis=-1)
+    order = (first[..., None] + np.arange(count)[None, None]) % count
     level = None if pins.level is None else jnp.take_along_axis(pins.level, order, axis=-1)
     rows = jnp.take_along_axis(pins.rows, order[:, None], axis=-1)
     return s._replace(pins=pins._replace(rows=rows, gap=jnp.take_along_axis(pins.gap, order, axis=-1), level=level))
