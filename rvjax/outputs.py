@@ -225,7 +225,7 @@ class Extremes:
 
     Attributes:
         source: result that is read; it takes angles (m,) after the conditions.
-        outputs: that read nothing but extremes of it.
+        outputs: that read nothing but extremes of it, each with the number of its curve, None for one without.
         angles: (design, conditions) -> all angles of the span, (n,) rad.
         curves: (design, errors, conditions, angle) -> numbers (c,), whose curves have the extremes: of the first one
             the lowest and highest places count, of others the highest.
@@ -233,7 +233,7 @@ class Extremes:
     """
 
     source: Source
-    outputs: tuple[str, ...]
+    outputs: Mapping[str, int | None]
     angles: Callable[[Any, Any], Any]
     curves: Callable[[Any, Any, Any, Any], Any]
     solved: Callable[[Any], int | None]

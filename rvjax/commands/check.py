@@ -262,7 +262,7 @@ def whole_line(study: Study, source: str) -> str:
 
 
 def _warnings(study: Study, found: Checked) -> list[str]:
-    lines = study.doubts + study.inaccurate() + doubts_of_unit(study, found.values, found.status)
+    lines = study.doubts + study.inaccurate(angles=False) + doubts_of_unit(study, found.values, found.status)
     return lines + [f"{name}: {text}" for name, text in found.remedies.items()]
 
 

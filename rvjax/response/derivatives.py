@@ -95,7 +95,8 @@ def _unit(
     response: Response, population: Population, vector: jax.Array, free: dict[str, jax.Array]
 ) -> tuple[Values, jax.Array]:
     there = population.replace(values=free) if free else population
-    return evaluate(response, there.fill(there.by_field(vector)))
+    among = getattr(response, "among", None)
+    return evaluate(response if among is None else among(there), there.fill(there.by_field(vector)))
 
 
 _unit_of_record = jax.jit(_unit)  # the program of the slopes need not trace it again

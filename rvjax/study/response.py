@@ -1,32 +1,24 @@
 """Response of a study: one function of the errors that computes only the required outputs.
 
 Statistics and allocation use only the response `errors -> Outcome`, no gears; models use no statistics.
-
-Where the conditions say so a unit is solved at few angles of its span, where its extremes are expected: a curve of
-the reducer at an angle is nearly linear in the errors of its parts, so that mean slopes predict the curve of any unit.
-Gain: 16 of 481 angles of a turn of the output lose 3 % of the peak to peak of an RV-40E; 97 equal ones take three times
-as long and lose 4.5 % (`benchmarks/chosen_angles.py`).
 """
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Self
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from rvjax import models
-from rvjax._jax.kernels import in_blocks
 from rvjax._jax.programs import ONCE
 from rvjax.base.words import unknown
 from rvjax.errors import Errors, described
 from rvjax.levels import Choice
 from rvjax.outputs import Extremes, Joint, Reading, Solved, Source
-from rvjax.population import Population, drawn, root_key
-from rvjax.records import Array, Design, PyTree, Record, Scalar, field, record, text
-from rvjax.response import elements, per_response
+from rvjax.population import Population
+from rvjax.records import Design, PyTree, Record, Scalar, field, record, text
+from rvjax.response import per_response
 from rvjax.status import SUCCESS, Status, worst
 from rvjax.study.kinds import changed
 from rvjax.study.tolerances import by_error
@@ -39,38 +31,6 @@ CURVE = "curve"
 """Of the names of its numbers among the values of a response."""
 LONGEST = 256
 """Most of these numbers: each is an output of the program, and 961 of them take 9 s to compile."""
-UNITS, AT_ONCE = 32, 8
-"""Units whose slopes are averaged, and at once. Of the variance of the error of a drive 16 units predict 87 %, 64 units
-89 %; the loss of 24 angles falls from 6.3 to 4.8 %."""
-
-
-@record
-class Expected(Record):
-    """Curves along a span, linear in the errors of a unit, and what is read off them."""
-
-    angles: Array = field("rad", "of the input", shape=("n",))
-    middle: Array = field("as the curves", "of a unit without errors", shape=("curves", "n"))
-    slopes: Array = field("as the curves", "to the elements of the errors", shape=("curves", "n", "elements"))
-    fields: tuple[tuple[str, tuple[int, ...]], ...] = text("errors of the elements in turn, with shapes")
-    places: tuple[tuple[int, int, int], ...] = text("curve, 1 for highest or -1 for lowest, their number")
-
-    def angles_of(self, errors: PyTree) -> jax.Array:
-        """Input angles (m,) at which a unit is solved, rad: in each part of the span those of the expected extremes.
-
-        Args:
-            errors: of the unit.
-        """
-        each = (jnp.broadcast_to(getattr(errors, name), shape) for name, shape in self.fields)
-        vector = jnp.concatenate([jnp.ravel(error) for error in each])
-        curves = self.middle + self.slopes @ jax.lax.stop_gradient(vector)
-        places = jnp.concatenate([_highest(sign * curves[k], parts) for k, sign, parts in self.places])
-        return jnp.asarray(self.angles)[places]
-
-
-def _highest(curve: jax.Array, parts: int) -> jax.Array:
-    """Number of the highest place in each part of a curve (n,)."""
-    ends = np.round(np.linspace(0, len(curve), parts + 1)).astype(int)
-    return jnp.stack([low + jnp.argmax(curve[low:high]) for low, high in itertools.pairwise(ends)])
 
 
 @record
@@ -88,7 +48,7 @@ class Response(Record):
     )
     bounds: tuple[str, ...] = text("errors without a place that follow from those with one", default=())
     curve: bool = text("whether the numbers of the curve that its outputs read are wanted too", default=False)
-    expected: PyTree = field("-", "curves that choose the angles of each unit", kind="record", default=None)
+    expected: PyTree = field("-", "curves that choose the angles of a unit", kind="record", default=None)
 
     @classmethod
     def of(
@@ -135,7 +95,7 @@ class Response(Record):
             shared.setdefault(None, {}).update(zip(joint.sources, results))
         found = {name: self._one(name, errors, shared) for name in self.outputs}
         statuses = jnp.stack([jnp.asarray(status) for _, status in found.values()])
-        values = {name: value for name, (value, _) in found.items()}
+        values = {name: value * self._factor(few, name) for name, (value, _) in found.items()}
         if self.curve:  # which a program of the outputs computes anyway
             described = models.kind(self.design).curve(self.outputs)
             assert described is not None and described.source is not None
@@ -143,6 +103,24 @@ class Response(Record):
             row = take(shared[None][source])
             values |= {f"{CURVE}[{k}]": row[k] for k in range(row.shape[0])}
         return Outcome(values, worst(statuses))
+
+    def among(self, population: Population) -> Self:
+        """The response of units of this population; its gradients are those of the same population.
+
+        Args:
+            population: of the units.
+        """
+        return self if self.expected is None else self.replace(expected=self.expected.among(population))
+
+    def near(self, population: Population) -> Self:
+        """The response with what units of this population show of all of them.
+
+        Args:
+            population: near the one whose units will be solved.
+        """
+        if self.expected is None:
+            return self
+        return self.replace(expected=self.expected.near(self.replace(expected=None), population))
 
     def bounded(self, errors: Errors) -> Errors:
         """Errors with the bounds that follow from them."""
@@ -192,6 +170,11 @@ class Response(Record):
         """Results that are read at few angles of each unit."""
         return None if self.expected is None else models.kind(self.design).extremes(self.outputs)
 
+    def _factor(self, few: Extremes | None, name: str) -> Scalar:
+        """On the value of an output at the chosen angles."""
+        curve = None if few is None or (None, few.source) not in self.read(name) else few.outputs.get(name)
+        return 1.0 if curve is None else self.expected.factors[curve]
+
     def _joints(self) -> list[Joint]:
         """Results without a level that are computed together, of overlapping ways the largest.
 
@@ -239,6 +222,16 @@ class DesignResponse(Record):
         design = changed(self.response.design, values or {}, self.given, similar=self.similar)
         return self.response.replace(design=design)(errors)
 
+    def among(self, population: Population) -> Self:
+        """The response of units of this population, as `Response.among`."""
+        return self.replace(response=self.response.among(population))
+
+    def near(self, population: Population) -> Self:
+        """The response with what units of this population show of all of them, as `Response.near`."""
+        design = changed(self.response.design, population.values or {}, self.given, similar=self.similar)
+        near = self.response.replace(design=design).near(population)
+        return self.replace(response=self.response.replace(expected=near.expected))
+
     @property
     def compiler_options(self) -> Settings:
         """Compiler options of the required models."""
@@ -280,68 +273,3 @@ def refuse(status: int) -> None:
     """
     if status not in SUCCESS:
         raise ValueError(f"the unit without errors cannot be solved: {Status(status).name}")
-
-
-def takes_few(response: Response, tolerances: PyTree) -> bool:
-    """True where the conditions let units choose their angles, and the outputs need no others.
-
-    Args:
-        response: of a study.
-        tolerances: of its units.
-    """
-    few = models.kind(response.design).extremes(response.outputs)
-    if few is None or few.solved(response.conditions) is None or not Population.of(tolerances).active:
-        return False
-    reading = {name for name in response.outputs if (None, few.source) in response.read(name)}
-    return bool(reading) and reading <= set(few.outputs)
-
-
-def learned(response: Response, population: Population, seed: int) -> Expected:
-    """Expected curves of the units of a study.
-
-    Args:
-        response: that `takes_few`.
-        population: of the units; a response to others may keep what these teach.
-        seed: of the units whose slopes are averaged; those that fail are left out.
-    """
-    few = models.kind(response.design).extremes(response.outputs)
-    assert few is not None
-    z = np.asarray(drawn(population, root_key(seed), np.uint32(0), count=UNITS))
-    errors = np.asarray(elements(population, jnp.asarray(z)))
-    values, slopes = in_blocks(lambda some: _slopes(response, population, some.T), AT_ONCE, errors.T)
-    at_zero = values - np.einsum("unce,eu->unc", slopes, errors)  # (units, n, c)
-    good = np.isfinite(at_zero)  # not where a slope is NaN either
-    share = good / np.maximum(good.sum(axis=0), 1)
-    return Expected(
-        angles=few.angles(response.design, response.conditions),
-        middle=np.einsum("unc,unc->cn", share, np.where(good, at_zero, 0)),
-        slopes=np.einsum("unc,unce->cne", share, np.where(good[..., None], slopes, 0)),
-        fields=tuple((name, tolerance.shape) for name, tolerance in population.active.items()),
-        places=_places(few.solved(response.conditions) or 0, at_zero.shape[2]),
-    )
-
-
-def _places(solved: int, curves: int) -> tuple[tuple[int, int, int], ...]:
-    """Curve, 1 for its highest or -1 for its lowest places, and their number; one of six is for all further curves."""
-    others = curves - 1
-    first = (solved - max(others, solved // 6)) // 2 if others else solved // 2
-    rest = solved - 2 * first if others else 0
-    return (0, 1, first), (0, -1, first), *((k + 1, 1, rest // others + (k < rest % others)) for k in range(others))
-
-
-@per_response(options=ONCE)
-def _slopes(response: Response, population: Population, errors: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Curves (units, n, c) at all angles of the span and their slopes to the errors (elements, units)."""
-    few = models.kind(response.design).extremes(response.outputs)
-    assert few is not None
-    angles = jnp.asarray(few.angles(response.design, response.conditions), errors.dtype)
-
-    def one(vector: jax.Array, angle: jax.Array) -> tuple[jax.Array, jax.Array]:
-        def curves(vector: jax.Array) -> jax.Array:
-            own = response.bounded(population.fill(population.by_field(vector)))
-            return few.curves(response.design, own, response.conditions, angle)
-
-        values, pull = jax.vjp(curves, vector)
-        return values, jax.vmap(lambda cotangent: pull(cotangent)[0])(jnp.eye(len(values), dtype=values.dtype))
-
-    return jax.vmap(jax.vmap(one, (None, 0)), (-1, None))(errors, angles)

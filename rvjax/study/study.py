@@ -13,6 +13,7 @@ from rvjax.outputs import Curve, Output
 from rvjax.population import Population
 from rvjax.records import PyTree, Record, Scalar
 from rvjax.status import Status, worst
+from rvjax.study.chosen_angles import Expected, learned, takes_few
 from rvjax.study.design import (
     Number,
     comments,
@@ -26,16 +27,7 @@ from rvjax.study.design import (
 from rvjax.study.goals import Price
 from rvjax.study.identification import Identification
 from rvjax.study.kinds import changed, kind_of
-from rvjax.study.response import (
-    DesignResponse,
-    Expected,
-    Response,
-    followed_bounds,
-    learned,
-    outcome_of,
-    refuse,
-    takes_few,
-)
+from rvjax.study.response import DesignResponse, Response, followed_bounds, outcome_of, refuse
 from rvjax.study.tolerances import Form, by_error, forms, metadata, mid_points
 from rvjax.study.values import (
     About,
@@ -136,7 +128,7 @@ class Study:
 
     @functools.cached_property
     def _expected(self) -> Expected:
-        return learned(self.response(solve=False), Population.of(self.tolerances), self.seed)
+        return learned(self._response((*self.requirements, *self.losses)), Population.of(self.tolerances))
 
     def _response(self, outputs: Iterable[str]) -> Response:
         """errors -> Outcome of some outputs, each at its level."""
@@ -259,17 +251,21 @@ class Study:
             *doubtful_limits(self.requirements, outputs),
         ]
 
-    def inaccurate(self, tolerances: Record | None = None) -> list[str]:
+    def inaccurate(self, tolerances: Record | None = None, *, angles: bool = True) -> list[str]:
         """Errors of the results of a model that these numbers bring, a line each: where a result is read, it has them.
 
         Args:
             tolerances: of the result; by default those of the study.
+            angles: also the error of chosen angles, which is no fault of the numbers.
         """
         lines = kind_of(self.design).inaccurate(self.design, self.tolerances if tolerances is None else tolerances)
-        if not self.chooses_angles:
+        if not (angles and self.chooses_angles):
             return lines
-        angles = f"{self.conditions.chosen_angles} of {self.conditions.samples} angles of the span"
-        return [*lines, f"each unit is solved at {angles}: its largest values may be larger"]
+        some = f"{self.conditions.chosen_angles} of {self.conditions.samples} angles of the span"
+        return [
+            *lines,
+            f"each unit is solved at {some}: errors and pressures are estimates, other largest values may be larger",
+        ]
 
     @property
     def assumed(self) -> list[str]:

@@ -140,7 +140,7 @@ def _named(inputs: DesignInputs, found: Designed, name: str) -> Iterator[Figure]
 
 
 def _notes(study: Study, found: Designed) -> list[str]:
-    lines = [f"warning: {line}" for line in study.doubts + study.inaccurate()]
+    lines = [f"warning: {line}" for line in study.doubts + study.inaccurate(angles=False)]
     used = [law for law, _ in found.laws]
     if found.joint.found.feasible:
         lines += [f"warning: {line}" for line in outside(study.design, found.joint.design, used)]

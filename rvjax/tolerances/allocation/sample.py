@@ -31,11 +31,22 @@ class Units:
     """Values of units and their derivatives; what a memo holds is not computed again."""
 
     def __init__(self, response: Response, decisions: Decisions, wanted: set[str], memo: Memo | None) -> None:
-        self.parts = [p for p in parts(response, decisions.base) if wanted & set(p.names)] if wanted else []
         self.solved = self._parted = 0
-        self._decisions, self._memo = decisions, memo
-        self._latest: list[tuple[Population, np.ndarray, frozenset[str], Values]] = []
-        self._states: list[tuple[Part, Population, dict[bytes, int], np.ndarray]] = []
+        self._decisions, self._memo, self._wanted = decisions, memo, wanted
+        self.renew(response)
+
+    def renew(self, response: Response, near: Population | None = None) -> None:
+        """Take another response of the same outputs.
+
+        Args:
+            response: of one unit.
+            near: population for which it is meant.
+        """
+        wanted = self._wanted
+        self.parts = [p for p in parts(response, self._decisions.base) if wanted & set(p.names)] if wanted else []
+        self._near = None if near is None else sorted(describe(near, {}).items())
+        self._latest = list[tuple[Population, np.ndarray, frozenset[str], Values]]()
+        self._states = list[tuple[Part, Population, dict[bytes, int], np.ndarray]]()
 
     def values(
         self, population: Population, z: np.ndarray, least: frozenset[str] = frozenset(), few: int = 0
@@ -97,7 +108,9 @@ class Units:
                 self._states = [*self._states[1 - KEPT * len(self.parts) :], (part, population, place, state)]
             return np.where(succeeded(np.asarray(status)), values, np.nan)
 
-        return self._recalled("design", lambda: (part.names, sorted(describe(population, {}).items())), [z], compute)
+        return self._recalled(
+            "design", lambda: (part.names, sorted(describe(population, {}).items()), *(self._near or ())), [z], compute
+        )
 
     def _recalled(
         self, kind: str, about: Callable[[], object], arrays: list[np.ndarray], compute: Callable[[], np.ndarray]

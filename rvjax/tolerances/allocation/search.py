@@ -58,6 +58,7 @@ class Search:
         ends = [self.run(x, RADIUS, most=LOOKS if len(several) > 1 else None) for x in several]
         self.tried = tried(decisions, several, ends, constraints.count) if len(several) > 1 else []
         near = rivals(ends, len(decisions.fields), effort.rivals)
+        self._renew(near[0].look.x)
         *growing, last = constraints.counts(near[0].look) or [constraints.count]
         for count in (*growing, last):
             if growing and count == last:  # fewer looks at the largest sample
@@ -77,6 +78,18 @@ class Search:
             x = start.copy()
             x[:count] += part * (self.decisions.low[:count] - start[:count])
         return x
+
+    def _renew(self, x: np.ndarray) -> None:
+        """Take the response that is good near a vector, where it depends on the tolerances of its units."""
+        if (renewed := getattr(self.problem.response, "near", None)) is None:
+            return
+        population = self.decisions.population(x)
+        response = renewed(population)
+        if response is not self.problem.response:
+            run = dataclasses.replace(self.problem.run, response=response)
+            self.problem = dataclasses.replace(self.problem, response=response, run=run)
+            self.constraints.units.renew(response, population)
+            self.certifier = Certifier(self.problem)
 
     def _grow(self, count: int, look: Look) -> None:
         self.constraints.spare(look)
