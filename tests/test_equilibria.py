@@ -1,6 +1,7 @@
 """Run time of a loaded study: measured times of equilibria, in proportion to angles, pins and discs."""
 
 import pytest
+from crank_turn import crank_turn
 
 from rvjax import levels, study
 from rvjax.commands import forecast
@@ -72,7 +73,7 @@ def test_the_time_of_the_default_study_is_known_and_an_unmeasured_one_is_not():
 
 def test_a_drive_has_times_of_its_own():
     """Twelve angles of a turn and of the fit, two probe angles with two torques; contacts of 4 holes."""
-    drive = study.load("cycloidal-17", solve=False)
+    drive = crank_turn("cycloidal-17", 12)
     own, count = equilibrium_times()["cycloidal"], {"turn": 12, "probe": 4, "fit": 12}
     due = sum(1e-6 * own[use]["hertz"] * n for use, n in count.items()) / equilibrium_times()["measured_on"]["cores"]
     assert own["contacts"] == 2 * (18 + 6) and unit_seconds(drive) == pytest.approx(due)

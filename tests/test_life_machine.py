@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from crank_turn import crank_turn
 from life_cases import BASIC, NAMED, PLAN, duty_of, rate, rate_together, rate_with_slopes, unit_of
 
 import rvjax
@@ -329,7 +330,7 @@ PHASES = ((412.0, 1.5, 1.0), (-200.0, 3.0, 0.5))
 
 def test_a_crank_turn_and_a_life_are_one_part():
     """With a level of its own, or alone, either is a part for itself."""
-    asked = study.load("rv-40e-whole", solve=False)
+    asked = crank_turn("rv-40e-whole", 24)
     groups = [set(part.outputs) for part in asked.response().parts()]
     turn = {"loaded_transmission_error", "turn_pin_pressure", "arm_bearing_force"}
     assert sorted(groups, key=len) == [{"misfit"}, {"bench_lost_motion"}, turn | {"life"}]

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from crank_turn import crank_turn
 
 from rvjax import RVErrors, cli, four_bar, plotting, study
 from rvjax.base import progress
@@ -244,14 +245,14 @@ def test_which_studies_have_a_budget(question, monkeypatch):
 def test_the_page_of_a_loaded_study_has_the_budget_of_the_units_of_its_curve(monkeypatch):
     """Of units that are made up: 768, or three for each of their numbers, and no unit under another load."""
     monkeypatch.setattr(Part, "rows", lambda part, population, z, name: np.outer(z[0], np.sin(np.arange(24))))
-    made = budgets.budget_if_any(study.load("rv-40e-whole", solve=False))
+    made = budgets.budget_if_any(crank_turn("rv-40e-whole", 24))
     assert made.linear and made.samples >= 768 and list(made.torque.values()) == [412.0]
     assert made.title == "Transmission error of the loaded reducer over 9 deg of the output"
 
 
 def test_a_curve_of_too_many_angles_has_no_linear_budget():
     """It is not among the numbers of the units: a turn of the output at 961 angles."""
-    whole = study.load("rv-40e-whole", solve=False)
+    whole = crank_turn("rv-40e-whole", 24)
     conditions = dataclasses.replace(whole.conditions, span="output_turn", samples=961)
     long = dataclasses.replace(whole, conditions=conditions)
     assert budgets.curve_of(whole, None) == whole.curve and "9 deg of the output" in whole.curve.title
