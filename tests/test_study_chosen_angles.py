@@ -28,7 +28,7 @@ from rvjax.response.parts import parts
 from rvjax.status import SolveInfo
 from rvjax.study import chosen_angles as responses, study as definition
 from rvjax.study.chosen_angles import Expected, learned, takes_few
-from rvjax.study.response import Response, outcome_of
+from rvjax.study.response import DesignResponse, Response, outcome_of
 from rvjax.tolerances import ReciprocalPower, Requirement, allocate
 from rvjax.units import arcmin
 
@@ -322,6 +322,16 @@ def test_curves_are_learned_anew_after_the_first_sample(monkeypatch):
     assert len(places) == 1 and found.status == "OPTIMAL"
     deviate = 1.1 * math.sqrt(sum(float(w) ** 2 for w in found.half_widths.values())) / 3
     assert 1.0 / deviate == pytest.approx(1.645, rel=0.08)  # with the response that is good there
+
+
+def test_a_design_learns_with_its_numbers(drive):
+    own, expected, population, *_ = drive
+    path, size = "cycloid.eccentricity", float(own.design.cycloid.eccentricity)
+    response = DesignResponse(own.response(solve=False).replace(expected=expected), tuple(sorted(own.given)))
+    same, other = (response.near(population.replace(values={path: factor * size})) for factor in (1.0, 1.05))
+    np.testing.assert_allclose(same.response.expected.middle, expected.middle, rtol=1e-6, atol=1e-9)
+    assert same.response.design is own.design
+    assert np.max(np.abs(other.response.expected.middle[0] / expected.middle[0] - 1)) > 1e-3
 
 
 def test_the_fit_of_a_drive_is_that_of_a_turn_of_its_shaft():

@@ -229,7 +229,7 @@ class DesignResponse(Record):
     def near(self, population: Population) -> Self:
         """The response with what units of this population show of all of them, as `Response.near`."""
         design = changed(self.response.design, population.values or {}, self.given, similar=self.similar)
-        near = self.response.replace(design=design).near(population)
+        near = self.response.replace(design=design).near(population.replace(values=None))
         return self.replace(response=self.response.replace(expected=near.expected))
 
     @property
