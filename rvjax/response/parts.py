@@ -234,13 +234,14 @@ def unit_at_mid_points(response: Response, population: Population) -> tuple[dict
 
 
 def unit_of(response: Response, population: Population, errors: np.ndarray) -> tuple[dict[str, float], int]:
-    """Values of one unit by name, and its status, the worst of all parts.
+    """Values of one unit by name, and its status, the worst of all parts; of a response that has one its `central`.
 
     Args:
         response: of one unit.
         population: whose active fields the errors are.
         errors: (elements,) of the active fields, one after the other.
     """
-    solved = [(part.names, *part.one(population, errors)) for part in parts(response, population)]
+    central = getattr(response, "central", response)
+    solved = [(part.names, *part.one(population, errors)) for part in parts(central, population)]
     values = {name: float(value) for names, row, _ in solved for name, value in zip(names, row)}
     return values, int(worst(np.array([status for *_, status in solved])))

@@ -3,7 +3,7 @@
 A curve of the reducer at an angle is nearly linear in the errors of its parts, so that mean slopes predict the curve of
 any unit. Its extremes at the chosen angles are a little smaller than those at all; a factor for each curve, the mean of
 other units, makes up for that. Gain: with 10 of 481 angles of a turn of the output of an RV-40E the limits that 98.6 %
-of the units keep are 3 to 4 % too high, with 97 equal ones, which take five times as long, 1 to 3 % too low
+of the units keep are 2 to 3 % too high, with 97 equal ones, which take five times as long, 1 to 3 % too low
 (`benchmarks/chosen_angles.py`).
 
 A unit keeps its angles while tolerances change: its errors count as if they had the tolerances of the curves. Otherwise
@@ -32,7 +32,7 @@ UNITS, AT_ONCE = 32, 8
 """Units whose slopes are averaged, and at once. Of the variance of the error of a drive 16 units predict 87 %, 64 units
 89 %."""
 SEED = 481
-"""Of these units, which are in no sample and no certificate."""
+"""Of these units; no sample or certificate of an embedded study has it."""
 
 Places = tuple[tuple[int, int, int], ...]
 
@@ -58,14 +58,15 @@ class Expected(Record):
         """
         return self.replace(own=_limits(self.fields, population, self.limits))
 
-    def near(self, response: Response, population: Population) -> Self:
-        """The same, of units of this population.
+    @property
+    def central(self) -> Self:
+        """The same for a unit at the centre of its tolerances or without errors, whose curves are the expected ones."""
+        return self.replace(factors=jnp.ones_like(self.factors))
 
-        Args:
-            response: of the units, without expected curves.
-            population: of the units.
-        """
-        return type(self)(**vars(learned(response, population)))
+    @staticmethod
+    def near(response: Response, population: Population) -> "Expected":
+        """Curves of units of another population, by `learned`."""
+        return learned(response, population)
 
     def angles_of(self, errors: PyTree) -> jax.Array:
         """Input angles (m,) at which a unit is solved, rad: in each part of the span those of the expected extremes.

@@ -95,7 +95,9 @@ class Response(Record):
             shared.setdefault(None, {}).update(zip(joint.sources, results))
         found = {name: self._one(name, errors, shared) for name in self.outputs}
         statuses = jnp.stack([jnp.asarray(status) for _, status in found.values()])
-        values = {name: value * self._factor(few, name) for name, (value, _) in found.items()}
+        values = {name: value for name, (value, _) in found.items()}
+        if few is not None:
+            values |= {name: values[name] * factor for name, factor in self._factors(few).items()}
         if self.curve:  # which a program of the outputs computes anyway
             described = models.kind(self.design).curve(self.outputs)
             assert described is not None and described.source is not None
@@ -112,8 +114,13 @@ class Response(Record):
         """
         return self if self.expected is None else self.replace(expected=self.expected.among(population))
 
+    @property
+    def central(self) -> Self:
+        """The response of a unit without errors or at the mid-points: chosen angles lose nothing of its curves."""
+        return self if self.expected is None else self.replace(expected=self.expected.central)
+
     def near(self, population: Population) -> Self:
-        """The response with what units of this population show of all of them.
+        """The response with curves of units of this population.
 
         Args:
             population: near the one whose units will be solved.
@@ -170,10 +177,10 @@ class Response(Record):
         """Results that are read at few angles of each unit."""
         return None if self.expected is None else models.kind(self.design).extremes(self.outputs)
 
-    def _factor(self, few: Extremes | None, name: str) -> Scalar:
-        """On the value of an output at the chosen angles."""
-        curve = None if few is None or (None, few.source) not in self.read(name) else few.outputs.get(name)
-        return 1.0 if curve is None else self.expected.factors[curve]
+    def _factors(self, few: Extremes) -> dict[str, Scalar]:
+        """Factors on the values at the chosen angles, by output with a curve."""
+        curves = {name: few.outputs.get(name) for name in self.outputs if (None, few.source) in self.read(name)}
+        return {name: self.expected.factors[curve] for name, curve in curves.items() if curve is not None}
 
     def _joints(self) -> list[Joint]:
         """Results without a level that are computed together, of overlapping ways the largest.
@@ -226,8 +233,13 @@ class DesignResponse(Record):
         """The response of units of this population, as `Response.among`."""
         return self.replace(response=self.response.among(population))
 
+    @property
+    def central(self) -> Self:
+        """The response of a unit without errors or at the mid-points, as `Response.central`."""
+        return self.replace(response=self.response.central)
+
     def near(self, population: Population) -> Self:
-        """The response with what units of this population show of all of them, as `Response.near`."""
+        """The response with curves of units of this population, as `Response.near`."""
         design = changed(self.response.design, population.values or {}, self.given, similar=self.similar)
         near = self.response.replace(design=design).near(population.replace(values=None))
         return self.replace(response=self.response.replace(expected=near.expected))

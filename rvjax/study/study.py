@@ -122,13 +122,24 @@ class Study:
         """True where a unit is solved at few angles of the span."""
         return takes_few(self._response((*self.requirements, *self.losses)), self.tolerances)
 
-    def at_few(self, response: Response) -> Response:
-        """A response of the study, solved at few angles of each unit where its conditions and outputs allow it."""
-        return response.replace(expected=self._expected) if takes_few(response, self.tolerances) else response
+    def at_few(self, response: Response, tolerances: PyTree | None = None) -> Response:
+        """A response of the study, solved at few angles of each unit where its conditions and outputs allow it.
+
+        Args:
+            response: of units.
+            tolerances: of the units; by default those of the study.
+        """
+        own = self.tolerances if tolerances is None else tolerances
+        if not takes_few(response, own):
+            return response
+        return response.replace(expected=self._expected if own is self.tolerances else self._learned(own))
 
     @functools.cached_property
     def _expected(self) -> Expected:
-        return learned(self._response((*self.requirements, *self.losses)), Population.of(self.tolerances))
+        return self._learned(self.tolerances)
+
+    def _learned(self, tolerances: PyTree) -> Expected:
+        return learned(self._response((*self.requirements, *self.losses)), Population.of(tolerances))
 
     def _response(self, outputs: Iterable[str]) -> Response:
         """errors -> Outcome of some outputs, each at its level."""

@@ -230,7 +230,7 @@ def crossed(study: Study, tolerances: PyTree, *, samples: int | None = None) -> 
         left=tuple(name for name in given if name not in taken),
         cost=cost_of(study, together),
         statistics=monte_carlo(
-            study.units,
+            study.at_few(study.response(), together),
             together,
             samples=study.certificate_samples if samples is None else samples,
             seed=study.seed + 1,  # the allocation uses that of the study

@@ -67,7 +67,7 @@ def nominal_outputs(
     """Outputs of a response without errors by name, and {output: {number of the design: derivative}}."""
     if not names:
         return {}, {}
-    values, slopes = _linearised(response, population, names=names)
+    values, slopes = _linearised(getattr(response, "central", response), population, names=names)
     by_number = {number: dict(zip(names, map(float, np.asarray(slope)))) for number, slope in slopes.items()}
     found = dict(zip(names, map(float, np.asarray(values))))
     return found, {output: {number: by_number[number][output] for number in by_number} for output in names}
