@@ -126,6 +126,15 @@ def test_units_that_fail_teach_nothing(monkeypatch):
     np.testing.assert_allclose(found.slopes[1, 0], slopes[some, 0, 1].mean(axis=0), rtol=1e-12)
     np.testing.assert_allclose(found.slopes[0, 0], slopes[[*some, 5], 0, 0].mean(axis=0), rtol=1e-12)
     assert not found.middle[:, 7].any() and not found.slopes[:, 7].any() and np.isfinite(found.middle).all()
+    np.testing.assert_array_equal(found.factors, 1.0)  # a place where all fail
+
+    values, slopes = rng.normal(size=(8, ANGLES, 2)), rng.normal(size=(8, ANGLES, 2, population.numbers))
+    values[7] = np.nan
+    factors = learned(own.response(solve=False), population).factors
+    values, slopes = values[:7], slopes[:7]
+    monkeypatch.setattr(responses, "UNITS", 7)
+    np.testing.assert_allclose(factors, learned(own.response(solve=False), population).factors, rtol=1e-12)
+    assert np.all(np.asarray(factors) > 1)
 
 
 def test_units_of_every_command_choose_their_angles(monkeypatch):
@@ -290,6 +299,16 @@ def test_a_unit_keeps_its_angles_in_other_tolerances(drive):
     for unit, same in zip(moved.T, errors.T):
         angles = there.angles_of(others.fill(others.by_field(unit)))
         np.testing.assert_array_equal(angles, expected.angles_of(population.fill(population.by_field(same))))
+    (part,) = parts(own.response(solve=False).replace(expected=expected), others)
+    found = part.of_elements(others, moved)[0][part.names.index(LOADED)]
+    curves = np.asarray(responses._slopes(own.response(solve=False), others, moved)[0])[..., 1]
+    for value, unit, curve in zip(found, moved.T, curves):
+        angles = np.asarray(there.angles_of(others.fill(others.by_field(unit))))
+        places = np.abs(expected.angles[:, None] - angles).argmin(axis=0)
+        assert value == pytest.approx(float(expected.factors[1]) * curve[places].max(), rel=1e-9)
+    narrow = expected.replace(limits=expected.limits * np.array([[1.0], [0.0]]))
+    unit = population.fill(population.by_field(errors[:, 0]))  # curves of units without any tolerance
+    np.testing.assert_array_equal(narrow.angles_of(unit), expected.angles_of(unit))
     few = Population.of(own.tolerances.replace(**{names[0]: None}))
     width = math.prod(dict(expected.fields)[names[0]])
     np.testing.assert_array_equal(expected.among(few).own[:, :width], expected.limits[:, :width])
