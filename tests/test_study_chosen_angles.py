@@ -135,6 +135,8 @@ def test_units_that_fail_teach_nothing(monkeypatch):
     monkeypatch.setattr(responses, "UNITS", 7)
     np.testing.assert_allclose(factors, learned(own.response(solve=False), population).factors, rtol=1e-12)
     assert np.all(np.asarray(factors) > 1)
+    values[2, 3] = np.nan  # one place of one unit
+    assert np.all(np.asarray(learned(own.response(solve=False), population).factors) > 1)
 
 
 def test_units_of_every_command_choose_their_angles(monkeypatch):
@@ -353,6 +355,15 @@ def test_a_unit_without_errors_or_at_the_mid_points_has_no_factor(drive):
     nominal, _ = nominal_outputs(design, population, (LOADED,))
     zero = plain(population.fill({name: jnp.zeros(t.shape) for name, t in population.active.items()}))
     assert nominal[LOADED] == pytest.approx(float(zero.value[LOADED]), rel=1e-9)
+
+
+def test_an_output_at_a_level_has_no_factor(drive):
+    """Its level is measured at all of its angles."""
+    own, expected, *_ = drive
+    response = own.response(solve=False).replace(expected=expected)
+    leveled = response.replace(levels=((ERROR, (("samples", 24),), "float64", None),))
+    few = models.kind(own.design).extremes((ERROR,))
+    assert [set(r._factors(few)) for r in (response, leveled)] == [{ERROR, LOADED}, {LOADED}]
 
 
 def test_results_of_other_tolerances_learn_from_these(monkeypatch):
