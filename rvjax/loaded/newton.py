@@ -131,8 +131,8 @@ def minimise(layout: Layout, system: System, start: jax.Array) -> Minimum:
 def _working_first(s: System) -> System:
     """The pins of every disc from another one on: those first that the torque presses, half of the circle.
 
-    They lie on one side of the line through the centres of ring and disc. Sorting by the lever takes 4.6 us a case in
-    the place of 0.2.
+    They lie on one side of the line through the centres of ring and disc. Sorting by the lever took 4.6 of the 19 us of
+    a case with a geometry of its own.
     """
     pins, count = s.pins, s.pins.rows.shape[-1]
     pressed = pins.rows[:, 2] * s.load[:, None, None] < 0
