@@ -141,7 +141,7 @@ def surrogate(
         chunk: units in one call.
     """
     study, side = answer.study, answer.after
-    names, response = tuple(study.requirements), study.at_few(study.response(), side.tolerances)
+    names, response = tuple(study.requirements), study.units
     own = effort_of(response).surrogate
     count, compared = own or units, "own" if own else "fresh"
     parameters = tuple(_parameters(answer))
