@@ -62,7 +62,6 @@ _MODULES = (
 _LAZY = {name: home for home, names in _HOMES.items() for name in names.split()} | dict.fromkeys(_MODULES.split())
 
 _GROUND = ("bearings", "cycloidal", "designs", "errors", "flank", "records", "status")  # submodules
-_DEPRECATED = ("compile_cache",)
 
 __all__ = ["enable_x64", *sorted(_LAZY)]
 
@@ -75,7 +74,7 @@ def enable_x64() -> None:
 
 
 def __getattr__(name: str) -> Any:
-    if name not in (*_LAZY, *_GROUND, *_DEPRECATED):
+    if name not in (*_LAZY, *_GROUND):
         raise AttributeError(f"module 'rvjax' has no attribute {name!r}")
     home = _LAZY.get(name)
     if home is None:

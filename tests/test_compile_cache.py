@@ -97,10 +97,3 @@ def test_a_quick_function_is_compiled_with_the_quick_options():
     assert square(3.0) == 9.0 and programs.understood.cache_info().misses == 1
     programs.understood(programs.QUICK)
     assert programs.understood.cache_info().misses == 1
-
-
-def test_the_former_name_of_the_module_warns():
-    sys.modules.pop("rvjax.compile_cache", None)
-    with pytest.warns(DeprecationWarning, match="jax.jit"):
-        from rvjax.compile_cache import QUICK
-    assert QUICK is programs.QUICK
