@@ -212,6 +212,15 @@ def test_a_study_says_what_its_level_leaves_out():
         assert words in next(line for line in check.level_lines(asked) if line.startswith(NAME))
 
 
+def test_responses_of_one_level_share_a_line():
+    drive = study.load("cycloidal-17", solve=False)
+    (line,) = check.level_lines(drive)
+    assert line.startswith(f"{', '.join(drive.requirements)}: as in the conditions (") and "accuracy" not in line
+    limited = dataclasses.replace(drive, accuracy={"turn_pin_pressure": 1e6})
+    (_, ignored) = check.level_lines(limited)
+    assert ignored.startswith("turn_pin_pressure: ") and "accuracy ignored" in ignored
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("accuracy", [90.0, 30.0, 8.0])
 def test_fresh_units_keep_the_accuracy(accuracy):

@@ -25,12 +25,12 @@ def choices(study: Study) -> dict[str, Choice]:
 
 
 def level_lines(study: Study) -> list[str]:
-    """One line for each response: its level, that level's error, and why."""
-    lines = []
+    """A line for each level of the responses: their names, its error, and why."""
+    lines = dict[str, list[str]]()
     for name, choice in choices(study).items():
         error = "" if choice.bound is None else f"error < {study.output(name).text(choice.bound, '.2g')}; "
-        lines.append(f"{name}: {choice.level} ({error}{choice.why})")
-    return lines
+        lines.setdefault(f"{choice.level} ({error}{choice.why})", []).append(name)
+    return [f"{', '.join(names)}: {line}" for line, names in lines.items()]
 
 
 def unit_seconds(study: Study) -> float | None:

@@ -88,7 +88,7 @@ def choose(
     choices = {}
     for name in accuracy:
         if not (known := _known(models, name, conditions)):
-            choices[name] = _unmeasured(name)
+            choices[name] = _unmeasured(name, ", accuracy ignored")
             continue
         model, reason = _model(known, design, conditions, tolerances)
         wanted_of.setdefault(model.name, (model, reason, []))[2].append(name)
@@ -161,8 +161,8 @@ def _no_fewer(value: PyTree, wanted_of: PyTree) -> object:
     return max(value, wanted_of) if counts else value
 
 
-def _unmeasured(output: str) -> Choice:
-    why = "no level with these conditions was measured: computed as the conditions define, accuracy ignored"
+def _unmeasured(output: str, further: str = "") -> Choice:
+    why = f"no level with these conditions was measured: computed as the conditions define{further}"
     return Choice(output, "as in the conditions", (), "float64", None, None, why)
 
 
