@@ -1,13 +1,18 @@
 """Several starts, ranges, prices and their intervals, against closed forms and solved problems."""
 
+import dataclasses
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from codesign_cases import CASES, LENGTH, OPTIONS, PARTS, arguments, one_start
 from codesign_random import problem
 
 from rvjax.records import Record, record
-from rvjax.tolerances import ReciprocalPower, Requirement, Tolerance, allocate
+from rvjax.tolerances import ReciprocalPower, Requirement, Tolerance, Variable, allocate
 from rvjax.tolerances.allocation import constraints, search
+from rvjax.tolerances.allocation.problem import OF_COSTLY
+from rvjax.tolerances.allocation.result import ranges
 from tests.oracles.responses import Lever
 
 CERTIFICATE = 20_000
@@ -74,6 +79,26 @@ def test_the_range_of_a_number_of_costly_units(lever):
     due = np.exp(1.5 * np.arccosh(1.005 ** (2 / 3)))
     least, most = lever.ranges["length"]
     assert (least, most) == pytest.approx((1 / due, due), abs=0.2 * (due - 1 / due))
+
+
+def test_a_range_holds_the_value_of_its_search():
+    """The optimum of fewer units, 2.8, is not that of the search, 1.4; a parabola costs 0.5 % more at 2.8 +-0.0632."""
+
+    def run(x, *_, **__):
+        x = np.clip([0.9], programme.low, programme.high)
+        look = SimpleNamespace(x=x, total=1 + 5 * float(x[0] - 0.9) ** 2, excess=-1.0)
+        return SimpleNamespace(look=look, at_low=[0.0], at_high=[0.0])
+
+    item = Variable(lower=1.0, upper=3.0)
+    programme = SimpleNamespace(low=np.zeros(1), high=np.ones(1), run=run)
+    decisions = SimpleNamespace(
+        fields=[], moves=[], free=["length"], variables={"length": item}, values=lambda x: {"length": 1 + 2 * x[0]}
+    )
+    effort = dataclasses.replace(OF_COSTLY, of_ranges=None, trials=9)
+    constraints = SimpleNamespace(decisions=decisions, problem=SimpleNamespace(effort=effort))
+    for searched, due in ((0.2, (1.4, 2.8632)), (0.95, (2.7368, 2.9)), (0.9, (2.7368, 2.8632))):
+        end = SimpleNamespace(look=SimpleNamespace(x=np.array([searched])))
+        assert ranges(constraints, programme, end)["length"] == pytest.approx(due, abs=0.02)
 
 
 def test_the_interval_of_a_price_holds_that_of_the_closed_form(lever, thorough):

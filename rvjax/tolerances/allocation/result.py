@@ -258,6 +258,8 @@ _CLOSE = 0.15  # of the added cost, by which the end of a range may miss it
 def ranges(constraints: Constraints, programme: Programme, end: End) -> dict[str, tuple[float, float]]:
     """{number: (least, largest) value with which the least cost stays within `WITHIN`}.
 
+    Costly units are few, and their optimum is not that of the search: a range has both.
+
     Args:
         constraints: of the search; costly units are few afterwards.
         programme: of the search.
@@ -288,7 +290,8 @@ def ranges(constraints: Constraints, programme: Programme, end: End) -> dict[str
             way = _way(held, best, at, sign, abs(float(limit) - at), float(slope), effort.trials)
             there = min(max(at + sign * way, 0.0), 1.0)
             ends.append(item.lower + there * (item.upper - item.lower))
-        found[name] = min(ends), max(ends)
+        own = decisions.values(end.look.x)[name]
+        found[name] = min(*ends, own), max(*ends, own)
     return found
 
 
