@@ -18,7 +18,7 @@ from scipy import stats
 
 from rvjax import cli, levels, models, study
 from rvjax.catalogue import CYCLOIDAL_17, CYCLOIDAL_29
-from rvjax.commands import allocate, init, montecarlo
+from rvjax.commands import allocate, design, init, montecarlo
 from rvjax.commands.budget import budgets, report_on_scalar
 from rvjax.study.kinds import cycloidal, facts_of
 from rvjax.study.response import Response
@@ -191,7 +191,7 @@ def test_results_say_where_the_linear_gaps_end(design, tolerances, words):
 
 
 def test_every_result_has_the_line_on_its_clearances(monkeypatch):
-    """A sample and a budget with those of the study, an allocation with those that it found."""
+    """A sample and a budget with those of the study, an allocation and a design with those that they found."""
     made = study.parse_study(text('cycloid.equidistant_modification = "65 um"\n'), name="x", solve=False)
 
     def response(errors):
@@ -208,6 +208,11 @@ def test_every_result_has_the_line_on_its_clearances(monkeypatch):
     answer = SimpleNamespace(study=made, allocation=found, after=SimpleNamespace(values={}), whole=None)
     lines = [line for line in allocate.limits_of_the_answer(answer) if line.startswith("Inaccurate")]
     assert len(lines) == 1 and lines[0].startswith("Inaccurate: clearance up to 68 um of the flanks")
+    wider = made.design_with({"cycloid.equidistant_modification": 70 * um})
+    optimum = SimpleNamespace(design=wider, found=SimpleNamespace(tolerances=looser, feasible=False))
+    lines = design._notes(made, SimpleNamespace(laws=(), joint=optimum))
+    (line,) = (line for line in lines if line.startswith("Inaccurate"))
+    assert line.startswith("Inaccurate: clearance up to 73 um of the flanks")
 
 
 TURN = {  # largest of a crank turn by the independent model, 8.8 N m, hertz, no errors

@@ -1,5 +1,6 @@
 """`rvjax design`: numbers of the design and tolerances together, the cheapest that meet the requirements of a study."""
 
+import dataclasses
 import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -140,11 +141,13 @@ def _named(inputs: DesignInputs, found: Designed, name: str) -> Iterator[Figure]
 
 
 def _notes(study: Study, found: Designed) -> list[str]:
-    lines = [f"warning: {line}" for line in study.doubts + study.inaccurate(angles=False)]
-    used = [law for law, _ in found.laws]
-    if found.joint.found.feasible:
-        lines += [f"warning: {line}" for line in outside(study.design, found.joint.design, used)]
-        lines += [f"warning: {line}" for line in steep(found.joint.design)]
+    lines = [f"warning: {line}" for line in study.doubts]
+    used, joint = [law for law, _ in found.laws], found.joint
+    made = dataclasses.replace(study, design=joint.design)
+    lines += [f"Inaccurate: {line}" for line in made.inaccurate(joint.found.tolerances)]
+    if joint.found.feasible:
+        lines += [f"warning: {line}" for line in outside(study.design, joint.design, used)]
+        lines += [f"warning: {line}" for line in steep(joint.design)]
     lines += [f"Assumed (not published): {assumed_text(study)}"] if study.assumed else []
     lines += ["Costs and prices are those of the study: compare ranges and prices, not one optimum only."]
     return lines + [f"Not modelled: {line}" for line in study.left_out]
