@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from rvjax import models, study
+from rvjax.commands import check
 from rvjax.commands.allocate import full_model_check
 from rvjax.commands.budget.budgets import _of_curves
 from rvjax.commands.montecarlo import batch
@@ -152,6 +153,15 @@ def test_units_of_every_command_choose_their_angles(monkeypatch):
     )
     batch.run(own)
     assert [response.expected for response in sampled] == [one]
+
+    def solved(response, *_, count):
+        sampled.append(response)
+        return {name: np.ones(count) for name in response.outputs}, None
+
+    monkeypatch.setattr(check, "respond_units", solved)
+    check._over_a_turn(own)
+    assert [response.expected for response in sampled[1:]] == [one, None]
+    assert [response.conditions.samples for response in sampled[1:]] == [ANGLES, 4 * ANGLES + 1]
 
 
 def test_the_check_at_all_angles_has_those_of_the_study(monkeypatch):

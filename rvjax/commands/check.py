@@ -116,9 +116,8 @@ def _over_a_turn(study: Study) -> dict[str, list[float]]:
     names = [name for name in study.spans if math.isinf(study.requirements[name].lower)]
     if not names or not study.fields:
         return {}
-    found = []
-    for conditions in (study.conditions, _finer(study)):
-        response = Response.of(study.design, names, conditions)
+    found, every = [], Response.of(study.design, names, _finer(study))
+    for response in (study.at_few(Response.of(study.design, names, study.conditions)), every):
         values, _ = respond_units(response, Population.of(study.tolerances), root_key(study.seed), 0, count=TURNED)
         found.append({name: np.asarray(values[name]) for name in names})
     own, whole = found
