@@ -25,7 +25,7 @@ from rvjax.loaded.system import Pins, System
 from rvjax.population import Population, Tolerance, drawn, root_key
 from rvjax.records import Record, field, record
 from rvjax.response import elements, unit_at_mid_points
-from rvjax.response.parts import parts
+from rvjax.response.parts import parts, unit_of
 from rvjax.status import SolveInfo
 from rvjax.study import chosen_angles as responses, study as definition
 from rvjax.study.chosen_angles import Expected, learned, takes_few
@@ -355,7 +355,7 @@ def test_curves_are_learned_again_after_the_first_sample(monkeypatch):
 
 def test_a_unit_without_errors_or_at_the_mid_points_has_no_factor(drive):
     """Its curves are the expected ones; with a factor a limit on it would be missed without cause."""
-    own, expected, population, *_ = drive
+    own, expected, population, errors, _ = drive
     response = own.response(solve=False).replace(expected=expected.replace(factors=7 * np.ones(3)))
     plain = response.replace(expected=expected.replace(factors=np.ones(3)))
     found, _ = unit_at_mid_points(response, population)
@@ -363,8 +363,8 @@ def test_a_unit_without_errors_or_at_the_mid_points_has_no_factor(drive):
     assert found == values and response.central.expected.factors[0] == 1
     design = DesignResponse(response, ())
     nominal, _ = nominal_outputs(design, population, (LOADED,))
-    zero = plain(population.fill({name: jnp.zeros(t.shape) for name, t in population.active.items()}))
-    assert nominal[LOADED] == pytest.approx(float(zero.value[LOADED]), rel=1e-9)
+    zero, _ = unit_of(plain, population, np.zeros(len(errors)))
+    assert nominal[LOADED] == pytest.approx(zero[LOADED], rel=1e-9)
 
 
 def test_an_output_at_a_level_has_no_factor(drive):
