@@ -16,6 +16,7 @@ import pytest
 import rvjax
 from rvjax import CycloidalErrors, cli, geometry, loaded, measured, running, study
 from rvjax.commands import export
+from rvjax.commands.allocate import answer
 from rvjax.status import SolveInfo, Status
 from rvjax.units import arcmin, mm
 
@@ -156,6 +157,18 @@ def test_sizes_of_a_study_and_of_its_result(folder, capsys):
     (row,) = told["sizes"]
     assert [row["nominal"], row["upper"], row["lower"]] == pytest.approx([1.602e-3, 3e-6, -3e-6], rel=1e-9)
     assert ",1.602,3" in (folder / "b.csv").read_text() and row["grade"] == ""  # no feature of size
+
+
+def test_a_stored_result_that_no_option_names_is_said(folder, monkeypatch, capsys):
+    """Sizes of a study are not those that were certified."""
+    assert cli.main(["export", "drive.toml", "b.csv", "--as", "sizes"]) == 0
+    assert "is a result of" not in capsys.readouterr().out
+    line = "results/drive is a result of this study: --result results/drive takes "
+    monkeypatch.setattr(answer, "folder", lambda study, option: Path("results", study.name))
+    for name, form, taken in (("a.csv", ["--as", "sizes"], "its tolerances."), ("a.svg", [], "the mid-points of its")):
+        for number, option in enumerate(([], ["--result", "mine"])):
+            assert cli.main(["export", "drive.toml", f"{number}{name}", *form, *option]) == 0
+            assert (line + taken in " ".join(capsys.readouterr().out.split())) == (not option)
 
 
 def test_a_result_of_design_gives_its_numbers(folder, capsys):

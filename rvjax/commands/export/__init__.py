@@ -85,6 +85,12 @@ def _of_result(inputs: ExportInputs) -> str:
     return f"{inputs.result}, {status}{'' if status in CERTIFIED else ': not certified'}"
 
 
+def _hint(inputs: ExportInputs) -> list[Note]:
+    """Line on a stored result of the study, which no option names."""
+    place, taken = inputs.stored, "its tolerances" if inputs.form == SIZES else "the mid-points of its tolerances"
+    return [Note(f"{place} is a result of this study: --result {place} takes {taken}.")] if place else []
+
+
 def _outlines(inputs: ExportInputs) -> dict[str, Outline]:
     """Outlines by part.
 
@@ -126,7 +132,7 @@ def _report_on_outlines(inputs: ExportInputs, found: dict[str, Outline]) -> Repo
     columns = [Text("layer"), Text("content"), Text("radius (mm)")]
     return Report(
         title=f"Outlines of {study.name}",
-        content=(*map(Note, about), Table("outlines", columns, rows)),
+        content=(*map(Note, about), *_hint(inputs), Table("outlines", columns, rows)),
         data={
             "study": study.name,
             "sizes": sizes,
@@ -145,7 +151,7 @@ def _report_on_sizes(inputs: ExportInputs, found: list[Size]) -> Report:
     origin = study.name if inputs.result is None else _of_result(inputs)
     return Report(
         title=f"Sizes of {study.name}",
-        content=(Note(f"Tolerances of {origin}."), table),
+        content=(Note(f"Tolerances of {origin}."), *_hint(inputs), table),
         data={"study": study.name, "tolerances": origin, "sizes": found},
         exports={inputs.file: table.csv()},
         told={"file": str(inputs.file)},

@@ -9,6 +9,7 @@ import numpy as np
 
 from rvjax import commands, study
 from rvjax.base.files import check_writable
+from rvjax.commands.allocate import answer
 from rvjax.geometry import DRAWINGS, PARTS
 from rvjax.records import PyTree
 from rvjax.running import FORMATS
@@ -141,6 +142,7 @@ class ExportInputs(commands.Inputs):
         self.study = study.load(self.source, solve=False, needs=needs)
         self.phases = (commands.READING, commands.WRITING)
         if self.drawing or self.form == SIZES:
+            self.stored = None if self.result else answer.folder(self.study, None)
             return
         self.phases = (commands.READING, SOLVING, commands.WRITING)
         self.torque = self._checked()
