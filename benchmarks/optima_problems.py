@@ -257,7 +257,7 @@ def of_study(study: Study) -> dict[str, Any]:
     given = {name: getattr(study, name) for name in shared}
     if not study.variables:
         graded = any(getattr(study.tolerances, name).size is not None for name in study.fields)
-        return given | dict(response=study.response(), requirements=study.requirements, grades=graded)
+        return given | dict(response=study.units, requirements=study.requirements, grades=graded)
     prices = {name: price(1.0) for name, price in study.objective.items()}
     required = study.requirements | study.nominal
     return given | dict(
