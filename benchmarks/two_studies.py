@@ -1,9 +1,8 @@
 """Comparison of the four-bar model and the loaded model: tolerances certified in one, evaluated in the other.
 
 `python -m benchmarks.two_studies` solves rv-40e, rv-40e-whole and rv-40e-whole without limits on life and forces. It
-evaluates the results on the loaded model, at rated torque and at the torque of a test bench, 3 % of
-it, and keeps them in `benchmarks/two_studies.json`, which the docs show: twenty minutes on an idle core. What is kept
-stays; `--fresh` starts again.
+evaluates the results on the loaded model, at rated torque and at the torque of a test bench, 3 % of it, and keeps them
+in `benchmarks/two_studies.json`, which the docs show: half an hour. What is kept stays; `--fresh` starts again.
 """
 
 import dataclasses

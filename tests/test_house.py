@@ -30,9 +30,8 @@ PRIVATE = ("base", "_jax")  # folders of single modules, without names in their 
 
 
 def rooms():
-    """Every file but the top `__init__` and modules that only warn of their removal."""
-    top = {"__init__"}
-    return sorted(path for path in PACKAGE.rglob("*.py") if path.parent != PACKAGE or path.stem not in top)
+    """Every file but the top `__init__`."""
+    return sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
 
 
 def name_of(path):

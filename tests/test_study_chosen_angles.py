@@ -162,6 +162,10 @@ def test_units_of_every_command_choose_their_angles(monkeypatch):
     check._over_a_turn(own)
     assert [response.expected for response in sampled[1:]] == [one, None]
     assert [response.conditions.samples for response in sampled[1:]] == [ANGLES, 4 * ANGLES + 1]
+    both = Requirement(lower=-1.0, upper=1.0, target=0.9)  # of a mean, for which all units need all angles
+    loads = replace(own.conditions, second_torque=1.0)
+    check._over_a_turn(replace(own, conditions=loads, requirements=own.requirements | {"mean_shift": both}))
+    assert [response.expected for response in sampled[3:]] == [None, None]
 
 
 def test_the_check_at_all_angles_has_those_of_the_study(monkeypatch):

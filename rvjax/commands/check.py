@@ -117,7 +117,7 @@ def _over_a_turn(study: Study) -> dict[str, list[float]]:
     if not names or not study.fields:
         return {}
     found, every = [], Response.of(study.design, names, _finer(study))
-    for response in (study.at_few(Response.of(study.design, names, study.conditions)), every):
+    for response in (study.units.replace(outputs=tuple(names)), every):
         values, _ = respond_units(response, Population.of(study.tolerances), root_key(study.seed), 0, count=TURNED)
         found.append({name: np.asarray(values[name]) for name in names})
     own, whole = found
