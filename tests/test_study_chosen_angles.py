@@ -17,6 +17,7 @@ from rvjax import models, study
 from rvjax.commands import check
 from rvjax.commands.allocate import full_model_check
 from rvjax.commands.budget.budgets import _of_curves
+from rvjax.commands.compare import results
 from rvjax.commands.montecarlo import batch
 from rvjax.loaded import clearance, newton
 from rvjax.loaded.observation import turn
@@ -386,6 +387,15 @@ def test_results_of_other_tolerances_learn_from_these(monkeypatch):
     monkeypatch.setattr(definition, "learned", lambda _, population: seen.append(population.active.keys()))
     own.at_few(own.response(solve=False)), own.at_few(own.response(solve=False), other)
     assert [("pin_offset" in names) for names in seen] == [True, False]
+
+    half = own.tolerances.throw.half_width
+    wide, widths = own.tolerances.replace(throw=own.tolerances.throw.scaled(2 * half)), []
+    monkeypatch.setattr(
+        definition, "learned", lambda _, population: widths.append(float(population.active["throw"].half_width))
+    )
+    monkeypatch.setattr(results, "monte_carlo", lambda response, tolerances, **_: response)
+    results.crossed(own, wide)  # `compare --on`
+    assert widths == [pytest.approx(2 * float(half))]
 
 
 def test_a_design_learns_with_its_numbers(drive):
