@@ -172,7 +172,7 @@ class Gate(NamedTuple):
     @property
     def good(self) -> PyTree:
         """True for a case that passed."""
-        return functools.reduce(operator.and_, [~failed for failed, _ in self.refused])
+        return ~functools.reduce(operator.or_, [failed for failed, _ in self.refused])
 
     def close(self, values: object, *checks: Check, info: SolveInfo | None = None) -> tuple[PyTree, SolveInfo]:
         """Values for the user, NaN where the status requires it, and the `SolveInfo` of the solve.

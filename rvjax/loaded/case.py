@@ -141,10 +141,8 @@ def _top(number: jax.Array) -> float:
 
 
 def _finite(tree: object) -> jax.Array:
-    finite = jnp.asarray(True)
-    for leaf in jax.tree.leaves(tree):
-        finite &= jnp.all(jnp.abs(leaf) < _top(leaf))  # false for NaN
-    return finite
+    numbers = jnp.concatenate([jnp.ravel(leaf) for leaf in jax.tree.leaves(tree)])
+    return jnp.all(jnp.abs(numbers) < _top(numbers))  # false for NaN
 
 
 CARRIED = 0.03
