@@ -286,14 +286,6 @@ def test_other_parsers_read_the_same_numbers(tmp_path):
         assert all(isinstance(number, float) for number in numbers) and numbers == column.tolist()
 
 
-def test_mujoco_reads_the_same_numbers(tmp_path):
-    mujoco = pytest.importorskip("mujoco")
-    rows = table(CURVE)
-    export(rows, tmp_path / "t.xml", joint={"stiffness": 9.2e6})
-    model = mujoco.MjModel.from_xml_path(str(tmp_path / "t.xml"))
-    assert (model.numeric("te_correction").data == rows.correction).all()
-
-
 @pytest.mark.parametrize("ending", ENDINGS)
 @pytest.mark.parametrize("content", ["", "nothing here", "[]", "{}", "<mujoco/>", "angle [rad],correction [rad]\n1"])
 def test_a_file_without_a_table_is_refused_in_one_line(tmp_path, ending, content):

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from loaded_cases import newton_alone
 
 from rvjax import models, study
 from rvjax.commands import check
@@ -47,6 +48,13 @@ def asked(**conditions):
     changed = dict(span="output_turn", samples=ANGLES, chosen_angles=CHOSEN) | conditions
     limits = {ERROR: Requirement(upper=30 * arcmin, target=0.95), LOADED: given.requirements[LOADED]}
     return replace(given, conditions=replace(given.conditions, **changed), requirements=limits)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def alone():
+    """No unit here needs the interior point method."""
+    with newton_alone():
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -3,10 +3,6 @@
 Oracle: the uninterrupted run, to the last bit.
 """
 
-import multiprocessing
-import time
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -217,46 +213,3 @@ def test_a_full_disk_is_a_warning_and_loses_nothing(tmp_path, monkeypatch):
     for path in (tmp_path / "absent" / "c", tmp_path):
         with pytest.raises(OSError, match=path.name):  # before anything is computed
             run(checkpoint=path)
-
-
-def slow_study(path, samples):
-    """A study in a process of its own that takes at least 4 ms a chunk."""
-    jax.config.update("jax_enable_x64", True)
-    jax.config.update("jax_compilation_cache_dir", f"{path}.programs")  # compile once for all processes
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    add = statistics.Accumulator.add
-
-    def slow(*arguments, **options):
-        with Path(f"{path}.begun").open("ab") as begun:
-            begun.write(b".")
-        time.sleep(0.004)
-        add(*arguments, **options)
-
-    statistics.Accumulator.add = slow
-    run(samples, checkpoint=path, checkpoint_every=0)
-
-
-def test_killed_at_ten_random_moments_and_resumed(tmp_path):
-    """One to six chunks after each start."""
-    path, samples = tmp_path / "c", 100_500
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["jax", "rvjax.tolerances"])
-    rng, reached = np.random.default_rng(0), []
-    for _ in range(10):
-        process = context.Process(target=slow_study, args=(path, samples))
-        process.start()
-        begun = Path(f"{path}.begun")
-        chunks = rng.integers(1, 7)
-        while not begun.exists() or begun.stat().st_size < chunks:
-            assert process.is_alive()
-            time.sleep(0.001)
-        time.sleep(rng.uniform(0.0, 0.004))
-        process.kill()  # SIGKILL
-        process.join()
-        assert process.exitcode == -9
-        begun.unlink()
-        with np.load(path) as file:  # whole at any moment
-            reached.append(int(file["chunks"].sum()) if "chunks" in file else 0)  # one range from 0, or none
-    assert reached == sorted(reached) and 0 < reached[-1] < 100
-    assert len(set(reached)) > 3
-    assert bits(run(samples, checkpoint=path)) == bits(run(samples))

@@ -6,17 +6,12 @@ of seeds whose interval holds the true value may miss 95 % by three standard err
 """
 
 import math
-import os
-import socket
-import subprocess
-import sys
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scale_study import STACK, bits, curves, first, response, run, same_to_roundoff, smooth
+from scale_study import STACK, first, response, run, same_to_roundoff, smooth
 from scipy import special
 from scipy.stats import qmc
 
@@ -120,67 +115,3 @@ def test_units_beyond_32_bits_are_others(first):
     for unit in (0, 299, 300, 999):
         assert sample(STACK, first + unit, seed=3)["a"] == drawn[unit], unit
     assert not np.isin(drawn[300:], study.errors((first + 300) % 2**32)["a"][:700]).any()
-
-
-# Devices and processes
-
-CHILD = """
-import jax
-jax.config.update("jax_enable_x64", True)
-if {address!r}:
-    jax.distributed.initialize({address!r}, num_processes=2, process_id={process})
-import scale_study as here
-found = {{m: here.run(20_500, method=m, **{options}) for m in ("random", "sobol")}}
-found["again"] = here.run(20_500, **{options})
-found["few"] = here.run(700, **{options})
-found["long"] = here.run(20_500, **({options} | dict(chunk=4096)))
-from rvjax.tolerances import save
-about = {{"devices": len(jax.local_devices()), "processes": jax.process_count()}}
-save({{"curves": here.curves() if {thorough} else [], "found": found}} | about, {path!r})
-"""
-
-
-def child(path, *, devices=1, address="", process=0, options=None, thorough=False):
-    code = CHILD.format(address=address, process=process, options=options or {}, path=str(path), thorough=thorough)
-    own = {"JAX_NUM_CPU_DEVICES": str(devices), "JAX_PLATFORMS": "cpu", "PYTHONPATH": str(Path(__file__).parent)}
-    environment = os.environ | own
-    return subprocess.Popen([sys.executable, "-c", code], env=environment, cwd=Path(__file__).parent.parent)
-
-
-@pytest.fixture(scope="module")
-def alone():
-    found = {m: run(20_500, method=m) for m in ("random", "sobol")}
-    return found | {"few": run(700), "long": run(20_500, chunk=4096)}
-
-
-def test_eight_devices_give_what_one_gives(tmp_path, alone, thorough):
-    from rvjax.tolerances import load
-
-    assert child(tmp_path / "eight.json", devices=8, thorough=thorough).wait(120) == 0
-    result = load(tmp_path / "eight.json")
-    assert result["devices"] == 8
-    for name, expected in alone.items():
-        same_to_roundoff(result["found"][name], expected)
-    assert bits(result["found"]["again"]) == bits(result["found"]["random"])
-    for shared, whole in zip(result["curves"], curves() if thorough else []):
-        np.testing.assert_allclose(shared, whole, rtol=0, atol=1e-15)
-
-
-def free_port():
-    with socket.socket() as server:
-        server.bind(("127.0.0.1", 0))
-        return server.getsockname()[1]
-
-
-@pytest.mark.long  # test_cli_montecarlo.py asks two processes for the figures of one
-def test_two_processes_give_the_bits_of_one(tmp_path, alone):
-    from rvjax.tolerances import load
-
-    address = f"127.0.0.1:{free_port()}"
-    both = [child(tmp_path / f"{p}.json", address=address, process=p) for p in (0, 1)]
-    assert [process.wait(120) for process in both] == [0, 0]
-    for p in (0, 1):
-        result = load(tmp_path / f"{p}.json")
-        assert result["processes"] == 2
-        for name, expected in alone.items():
-            assert bits(result["found"][name]) == bits(expected), name

@@ -16,7 +16,7 @@ from jax.typing import DTypeLike
 
 from rvjax._jax.kernels import BatchedKernel, block_by_block, like
 from rvjax._jax.sizes import EQUILIBRIA, GROUP
-from rvjax.loaded.hessian import hessian, solve
+from rvjax.loaded.hessian import frame, hessian, solve
 from rvjax.loaded.newton import Minimum, minimise
 from rvjax.loaded.system import Contacts, Layout, System, contacts, gradient
 from rvjax.records import PyTree
@@ -217,7 +217,7 @@ def _unknowns(layout: Layout, dtype: DTypeLike) -> jax.ShapeDtypeStruct:
 
 def _compliance(layout: Layout, system: System, q: jax.Array, load: jax.Array) -> jax.Array:
     def block(part: System, q: jax.Array, right: jax.Array) -> jax.Array:
-        return solve(layout, hessian(layout, part, contacts(layout, part, q)), right)
+        return solve(layout, hessian(layout, part, contacts(layout, part, q), frame(layout, part)), right)
 
     return in_blocks(block, (system, q, load))
 

@@ -213,16 +213,15 @@ def _touch(layout: Layout, group: Group, rows: jax.Array) -> Touch:
 
 
 @functools.partial(jax.jit, static_argnums=0)  # traced once for each batch size
-def hessian(layout: Layout, s: System, at: Contacts, at_rest: Frame | None = None) -> Hessian:
+def hessian(layout: Layout, s: System, at: Contacts, rows: Frame) -> Hessian:
     """Second derivatives of the energy.
 
     Args:
         layout: counts and methods.
         s: the system, batch axis last.
         at: contacts at q.
-        at_rest: `frame(layout, s)`, where it is known.
+        rows: `frame(layout, s)`.
     """
-    rows = frame(layout, s) if at_rest is None else at_rest
     blocks = defaultdict[str, list[jax.Array]](list)
     for touch, stiff in _groups(layout, at, rows):
         for name, block in _blocks(touch, stiff):

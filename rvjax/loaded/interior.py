@@ -19,7 +19,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rvjax.loaded.hessian import hessian, solve
+from rvjax.loaded.hessian import frame, hessian, solve
 from rvjax.loaded.system import (
     Contacts,
     Held,
@@ -79,6 +79,7 @@ def approach(layout: Layout, s: System, wanted: jax.Array) -> tuple[jax.Array, j
     eps = float(jnp.finfo(s.pins.gap.dtype).eps)
     unilateral = layout.discs * layout.pins + layout.contacts(layout.joints)
     products = unilateral + jnp.sum(free, axis=0, dtype=s.pins.gap.dtype)
+    at_rest = frame(layout, s)
 
     def body(loop: _Loop) -> _Loop:
         at = loop.at
@@ -96,7 +97,8 @@ def approach(layout: Layout, s: System, wanted: jax.Array) -> tuple[jax.Array, j
         closing = Contacts(
             _closing(at.pins, pins, of_pins, goal), _closing(at.joints, joints, of_joints, goal), cone.held
         )
-        g, square = jax.lax.optimization_barrier((gradient(layout, s, at.q, closing), hessian(layout, s, closing)))
+        g = gradient(layout, s, at.q, closing)
+        g, square = jax.lax.optimization_barrier((g, hessian(layout, s, closing, at_rest)))
         dq = jax.lax.optimization_barrier(-solve(layout, square, g))
 
         dpins, (djoints, dw) = depths(layout, s, dq, gaps=False), displaced(s, dq, gaps=False)

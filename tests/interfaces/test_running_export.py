@@ -12,11 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rvjax import running
+from rvjax import compensation, running
 from rvjax.running import FORMATS, Header
 from rvjax.status import SolveInfo
+from rvjax.units import arcsec
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 NUMBERS = dict(
     ratio=121.0,
     half_backlash=2e-4,
@@ -250,3 +251,12 @@ def test_a_self_locking_reducer_has_no_modelica_table():
     with pytest.raises(ValueError, match=r"^backward_loss = 1.2: must be below 1"):
         written("modelica", backward_loss=1.2)
     assert json.loads(written("json", backward_loss=1.2))["backward_loss"] == 1.2
+
+
+def test_mujoco_reads_a_table_of_correction(tmp_path):
+    mujoco = pytest.importorskip("mujoco")
+    value = np.array([2.0, 4.0, 3.0]) * arcsec * np.exp(0.3j)
+    rows = compensation.table(compensation.correction(np.array([3, 40, 81]), value, ratio=121.0))
+    compensation.export(rows, tmp_path / "t.xml", joint={"stiffness": 9.2e6})
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "t.xml"))
+    assert (model.numeric("te_correction").data == rows.correction).all()

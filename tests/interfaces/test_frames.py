@@ -12,7 +12,7 @@ import rvjax
 from rvjax import cli, four_bar
 from rvjax.base import frames
 from rvjax.catalogue import RV_40E
-from rvjax.tolerances import Allocation, Requirement, Tolerance, monte_carlo, sobol_indices
+from rvjax.tolerances import Allocation, Requirement, Tolerance, measured, monte_carlo, sobol_indices
 
 STACK = {"a": Tolerance.symmetric(1.0), "b": Tolerance.symmetric(2.0)}
 
@@ -152,3 +152,12 @@ def test_only_a_package_that_is_missing_is_told_as_bad_input(monkeypatch, tmp_pa
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(ModuleNotFoundError, match="no_such_package"):
         frames.needed("broken_package", "to_pandas")
+
+
+def test_measured_parts(tmp_path):
+    (tmp_path / "lot.csv").write_text("part;pin_radius [um];bore [um]\nA;1.0;12\nB;2.5;8\nC;-0.5;\n")
+    columns = {"pin_radius": "pin_radius", "disc_bore[0,1,0]": "bore"}
+    found = measured(tmp_path / "lot.csv", columns, design=RV_40E, limits={"pin_radius": (-2e-6, 5e-6)})
+    frame = found.to_pandas()
+    assert frame.loc["pin_radius", "cpk_lower"] == found.columns["pin_radius"].cpk.lower
+    assert frame.loc["disc_bore[0,1,0]", "n"] == 2

@@ -29,7 +29,7 @@ from rvjax.errors import read_by
 from rvjax.plotting import drawings, drive
 from rvjax.units import mm, um
 
-DOCS = Path(__file__).parent.parent / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
 PAGES = sorted(path.relative_to(DOCS) for path in DOCS.rglob("*.md") if not str(path.relative_to(DOCS)).startswith("_"))
 
 

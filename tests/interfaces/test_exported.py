@@ -221,7 +221,7 @@ def test_linear_algebra_of_another_process(folder):
     (kept,) = folder.iterdir()
     run = [sys.executable, "-c", LAPACK, str(folder)]
     own = os.environ | {"PYTHONPATH": str(Path(__file__).parent)}
-    done = subprocess.run(run, capture_output=True, text=True, timeout=120, env=own, cwd=Path(__file__).parents[1])
+    done = subprocess.run(run, capture_output=True, text=True, timeout=120, env=own, cwd=Path(__file__).parents[2])
     assert done.returncode == 0, done.stderr
     assert [float(x) for x in done.stdout.split()] == pytest.approx([1, 2, 3, 3, 2, 1])
     assert list(folder.iterdir()) == [kept]

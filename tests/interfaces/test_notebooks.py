@@ -13,7 +13,7 @@ import pytest
 
 pytestmark = pytest.mark.long  # a job of the workflow; its packages are imported where they are used
 
-FOLDER = Path(__file__).parents[1] / "notebooks"
+FOLDER = Path(__file__).parents[2] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 LARGEST = 400_000  # bytes
 

@@ -15,7 +15,7 @@ import pytest
 from benchmarks import history
 from benchmarks.pages import written
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 MARK = re.compile(
     r"(?P<text>[\d.,]+(?:e-?\d+)?)[^\d|\n<]*<!-- (?P<script>\w+): (?P<figure>.+?)(?: \* (?P<factor>[\d.e+-]+))? -->"
 )

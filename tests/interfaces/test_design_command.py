@@ -209,7 +209,7 @@ def test_two_steps_never_beat_the_joint_optimum(designed):
 
 
 def test_the_study_of_the_documentation_is_the_embedded_one():
-    page = (Path(__file__).parent.parent / "docs" / "design.md").read_text("utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "design.md").read_text("utf-8")
     shown = next(block for block in re.findall(r"```toml\n(.*?)```", page, re.S) if "flank_clearance" in block)
     assert tomllib.loads(shown) == tomllib.loads(study.load("rv-40e-modified", solve=False).text)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 NEEDED = ("pytest", "pytest-xdist", "hypothesis", "mpmath")  # others of `dev` might hold JAX back
 BY_PUBLIC_NAMES = ("arguments", "arguments_elsewhere", "compiled_once", "loaded_batches", "only_required_outputs")
 

@@ -55,7 +55,7 @@ def test_importing_the_package_loads_no_jax():
     """What the command line sets must be set before; `rvjax --help` answers at once. scipy.stats takes a second."""
     code = "import sys, rvjax, rvjax.cli; assert 'jax' not in sys.modules\n"
     code += "import rvjax.study; assert not {'scipy.stats', 'optax'} & set(sys.modules)"
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[1])
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[2])
     assert "jax" in sys.modules  # this is its name where it is loaded
 
 
