@@ -22,6 +22,18 @@ MIDDLE = 'lower = "-20 um"\nupper = "20 um"\n'
 SMALL = SMALL.replace(MIDDLE, MIDDLE + 'cost = 0.1\nper = "1 um"\n')
 HISTOGRAMS = ["histogram_transmission_error", "histogram_misfit", "histogram_lost_motion"]
 PICTURES = ["curves", *HISTOGRAMS, "variance_shares", "cost_against_yield"]
+DRAWING = """[design]
+kind = "rv"
+involute.sun_teeth = 14
+involute.planet_teeth = 42
+involute.module = "1.5 mm"
+cycloid.disc_teeth = 39
+cycloid.pin_count = 40
+cycloid.eccentricity = "1.5 mm"
+cycloid.pin_circle_radius = "78 mm"
+cycloid.pin_radius = "3.5 mm"
+cranks.count = 3
+"""
 FOUND: dict = {}  # answers by the text of their study
 MOVED: dict = {}  # and surrogates
 

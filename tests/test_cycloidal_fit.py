@@ -4,7 +4,6 @@ One program serves all fits of two discs, with their slopes, and one all gaps of
 """
 
 import copy
-import functools
 
 import jax
 import numpy as np
@@ -196,14 +195,11 @@ def test_batches():
     assert len(np.unique(np.round(found, 9))) > 3
 
 
-def test_float32_gives_the_same_to_its_rounding(thorough):
-    """By default the type alone."""
+@pytest.mark.long  # types of results follow those of inputs: test_records.py and test_batching.py
+def test_float32_gives_the_same_to_its_rounding():
     errors = drawn(np.random.default_rng(4), (2, *SIZES[1:]), 8 * um)
     single = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), errors_of(errors))
-    fit = functools.partial(clearance, TWO, samples=2)
-    found = fit(single) if thorough else jax.eval_shape(fit, single)
+    found = clearance(TWO, single, samples=2)
     assert found.at.dtype == np.float32
-    if not thorough:
-        return
     due = [oracle.fit(dictionaries(TWO), errors, angle) for angle in ANGLES[[0, 3]]]
     np.testing.assert_allclose(found.at, due, rtol=0, atol=0.02 * um)

@@ -10,11 +10,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from cli_study import DRAWING
 from cycloidal_cases import dictionaries
 from life_cases import BASIC, NAMED, duty_of, plain, unit_of
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
-from test_init import DRAWING
 
 import rvjax
 from rvjax import BallBearing, Bearings, RollerBearing, Status, catalogue, cli, geometry, life, study

@@ -35,7 +35,7 @@ def batch(cases):
         (25, "hertz"),
         pytest.param(25, "linear", marks=pytest.mark.long),  # below is its closed form
         pytest.param(25, "palmgren", marks=pytest.mark.long),  # test_mesh_force_properties.py has a census of it
-        (8, "hertz"),
+        pytest.param(8, "hertz", marks=pytest.mark.long),  # test_mesh_force_properties.py has a census of 8 teeth
         pytest.param(24, "hertz", marks=pytest.mark.long),
     ],
 )

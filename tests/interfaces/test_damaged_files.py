@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.test_cli_montecarlo import SMALL
 
 from rvjax import cli
 from rvjax.base.files import digest, pack, unpack
 from rvjax.commands.montecarlo import batch
 from rvjax.render import Note, Report, new_folder, results_folder, write_files
 from rvjax.tolerances import Folder, Requirement, Tolerance, load, monte_carlo, origin
-from tests.test_cli_montecarlo import SMALL
 
 ONE = {"a": Tolerance.symmetric(3.0), "b": Tolerance.symmetric(1.0)}
 OPTIONS = dict(samples=5000, seed=1, chunk=1000, requirements=Requirement(upper=2.0))

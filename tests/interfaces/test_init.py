@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from cli_study import DRAWING
 
 from rvjax import catalogue, cli, study
 from rvjax.commands.allocate import shortfalls
@@ -19,18 +20,6 @@ from rvjax.units import arcmin, mm, rpm, um
 
 BASES = ["rv-20e", "rv-40e", "rv-40e-whole", "rv-80e", "rv-320e"]
 LOADED = {"loaded_transmission_error", "misfit", "bench_lost_motion", "life", "turn_pin_pressure", "arm_bearing_force"}
-DRAWING = """[design]
-kind = "rv"
-involute.sun_teeth = 14
-involute.planet_teeth = 42
-involute.module = "1.5 mm"
-cycloid.disc_teeth = 39
-cycloid.pin_count = 40
-cycloid.eccentricity = "1.5 mm"
-cycloid.pin_circle_radius = "78 mm"
-cycloid.pin_radius = "3.5 mm"
-cranks.count = 3
-"""
 
 
 def read(text, name="mine"):
