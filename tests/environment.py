@@ -10,7 +10,9 @@ if sys.dont_write_bytecode:  # dozens of processes: each would compile what it i
     sys.pycache_prefix = str(Path(__file__).parents[1] / ".pytest_cache" / "bytecode")  # not next to the sources
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix
-os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "jax"))
+KEPT = Path(__file__).parents[1] / ".pytest_cache" / "jax"  # compiled programs
+if KEPT.is_dir():  # made at the end of a run: the first one of a clone keeps none, which takes 4 % of its CPU time
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(KEPT))
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # a worker for each core: threads of small products took 6 % more
 os.environ.setdefault("JAX_NUM_CPU_DEVICES", "1")  # not one a core from whichever test runs a command first
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA logs two lines for every kept program it loads
