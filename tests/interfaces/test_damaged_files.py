@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.test_cli_montecarlo import SMALL
+from test_cli_montecarlo import SMALL
 
 from rvjax import cli
 from rvjax.base.files import digest, pack, unpack
