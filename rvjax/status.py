@@ -172,7 +172,7 @@ class Gate(NamedTuple):
     @property
     def good(self) -> PyTree:
         """True for a case that passed."""
-        return ~functools.reduce(operator.or_, [failed for failed, _ in self.refused])
+        return functools.reduce(operator.and_, [~failed for failed, _ in self.refused])
 
     def close(self, values: object, *checks: Check, info: SolveInfo | None = None) -> tuple[PyTree, SolveInfo]:
         """Values for the user, NaN where the status requires it, and the `SolveInfo` of the solve.
@@ -187,7 +187,10 @@ class Gate(NamedTuple):
         for failed, name in checks:
             known = known & ~failed if name in WITHOUT_VALUE else known
         # By `good`, which the values need as well: selected by the refusals XLA would store each of those conditions.
-        status = jnp.where(self.good, first_failure(*checks, otherwise=info.status), first_failure(*self.refused))
+        # XLA evaluates a condition once for each of its readers, and rounds differently: at its edge `good` may be false
+        # while no refusal holds. Such a case has no value, so it must not end as a success.
+        refused = first_failure(*self.refused, otherwise=Status.NONFINITE)
+        status = jnp.where(self.good, first_failure(*checks, otherwise=info.status), refused)
         values = jax.tree.map(lambda value: jnp.where(known, value, jnp.nan), values)
         return values, SolveInfo(status, info.steps, info.residual)
 

@@ -83,3 +83,12 @@ def test_check_names_reasons_counts_and_the_first_lane():
     assert check(bad, max_failed_fraction=0.75) is bad
     with pytest.raises(TypeError, match="info"):
         rvjax.check(3.0)
+
+
+def test_a_case_at_the_edge_of_a_refusal_is_no_success(monkeypatch):
+    """XLA may round a condition differently for each of its readers: one refuses the case, the other finds no cause."""
+    _, gate = admit(jnp.array([1.0, -1.0]), 1.0, (jnp.array([False, True]), Status.UNDERCUT))
+    monkeypatch.setattr(type(gate), "good", property(lambda _: jnp.array([False, False])))
+    value, info = gate.close(jnp.array([2.0, 3.0]))
+    np.testing.assert_array_equal(info.status, [Status.NONFINITE, Status.UNDERCUT])
+    assert np.isnan(value).all()
