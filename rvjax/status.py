@@ -187,8 +187,8 @@ class Gate(NamedTuple):
         for failed, name in checks:
             known = known & ~failed if name in WITHOUT_VALUE else known
         # By `good`, which the values need as well: selected by the refusals XLA would store each of those conditions.
-        # XLA evaluates a condition once for each of its readers, and rounds differently: at its edge `good` may be false
-        # while no refusal holds. Such a case has no value, so it must not end as a success.
+        # XLA evaluates a condition once for each of its readers, and rounds differently: at its edge `good` may be
+        # false while no refusal holds. Such a case has no value, so it must not end as a success.
         refused = first_failure(*self.refused, otherwise=Status.NONFINITE)
         status = jnp.where(self.good, first_failure(*checks, otherwise=info.status), refused)
         values = jax.tree.map(lambda value: jnp.where(known, value, jnp.nan), values)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.programs import QUICK
-from rvjax._jax.sizes import AT_ONCE, calls
+from rvjax._jax.sizes import AT_ONCE, FEW, calls
 from rvjax.base.words import choose
 from rvjax.errors import STAGES, described
 from rvjax.outputs import Curve, Output, torque_condition
@@ -60,8 +60,9 @@ def curves_of(
         torque: other than that of the conditions, N m.
     """
     unit, count, found = _unit(curve, design, conditions, torque), z.shape[1], list[np.ndarray]()
-    mesh = mesh_of(AT_ONCE)
-    for lanes in calls(count, AT_ONCE):
+    size = FEW if count <= FEW else AT_ONCE
+    mesh = mesh_of(size)
+    for lanes in calls(count, size):
         angles, values = _curves(unit, population, on(mesh, jnp.asarray(z[:, lanes])), mesh=mesh)
         found.append(np.asarray(values))
     return np.asarray(angles)[0], np.concatenate(found)[:count]
