@@ -109,8 +109,8 @@ a response over many angles then fit the cache. A four-bar unit takes no longer 
 AT_ONCE = 256
 """Costly units of a sample, and units with plotted curves."""
 FEW = 64
-"""Units with plotted curves where they are no more: 24 take 0.36 in the place of 1.35 s. A program of 32 takes 0.19 s, but
-twice as long to compile."""
+"""Units with plotted curves where they are no more: 24 take 0.36 in the place of 1.35 s. A program of 32 takes 0.19 s,
+but twice as long to compile."""
 PULLED = 256
 """Units behind one gradient of a method."""
 CORNERS = 64
