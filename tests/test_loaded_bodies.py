@@ -174,12 +174,7 @@ def cases_of(layout):
     return cases, jax.tree.map(lambda *x: np.stack(x), *cases), [minimum(layout, case) for case in cases]
 
 
-LONG = "one disc, a carrier"  # its slopes are below; both laws of contact and all floating run by default
-
-
-@pytest.mark.parametrize(
-    "layout", [pytest.param(x, id=name, marks=[pytest.mark.long] * (name == LONG)) for name, x in LAYOUTS.items()]
-)
+@pytest.mark.parametrize("layout", LAYOUTS.values(), ids=LAYOUTS)
 def test_the_minimum_is_that_of_scipy(layout):
     """Both signs of the torque, with clearance and with preload. 1e-8 of the displacements: the root leaves 1e-7 N of
     some 100 N. The secant of the compliance is that of a small step, because contacts close on the way: 1e-3."""
