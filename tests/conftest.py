@@ -203,7 +203,7 @@ def held_memory():
 
 @pytest.fixture(scope="module", autouse=True)
 def forgotten():
-    """Beyond the bound, traces and programs of a module are dropped after it; the disk keeps the programs."""
+    """Beyond the bound, traces and programs of a module are dropped after it."""
     yield
     if held_memory() > max(BOUND, LEFT[0] + GROWN):
         jax.clear_caches()

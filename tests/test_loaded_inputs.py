@@ -6,6 +6,7 @@ import pytest
 from loaded_cases import NAMED, design_of, errors_of, solve
 
 from rvjax import RVErrors, Status, catalogue, loaded
+from rvjax.loaded import case
 
 CASE = NAMED["rv40: all errors, rated, hertz"]
 DESIGN = design_of(CASE)
@@ -101,3 +102,14 @@ def test_errors_with_a_place_stay_plain_zeros_where_not_given():
     errors = RVErrors.for_design(catalogue.RV_40E)
     assert errors.pin_offset == 0.0 and np.ndim(errors.disc_profile) == 0
     assert np.shape(RVErrors.for_design(catalogue.RV_40E, pin_offset=1e-6).pin_offset) == (40, 2)
+
+
+def test_every_number_of_a_tree_must_be_finite_and_of_moderate_size():
+    """Alone at each place, of either sign; the largest allowed one is the cube root of the largest number."""
+    tree, top = [np.array(1.0), np.array([[2.0, -3.0]]), np.array([4.0])], np.finfo(float).max ** (1 / 3)
+    for k, leaf in enumerate(tree):
+        for place in np.ndindex(leaf.shape):
+            for number, fine in ((np.nan, False), (-np.inf, False), (1.01 * top, False), (-0.99 * top, True)):
+                changed = leaf.copy()
+                changed[place] = number
+                assert bool(case._finite([*tree[:k], changed, *tree[k + 1 :]])) == fine, (k, place, number)

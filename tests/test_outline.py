@@ -1,4 +1,4 @@
-"""Outlines of discs, rings and carriers, and their files.
+"""Outlines of discs, rings and carriers.
 
 Oracles: the path of the pin centres and its parallel line, evaluated here with complex numbers; the closed form of the
 enclosed area; pins that touch flanks without modifications at the ideal position; differences.

@@ -1,4 +1,4 @@
-"""What is kept of a study's chunks: moments and order statistics that merge, checkpoints, kills and damage.
+"""What is kept of a study's chunks: moments and order statistics that merge, checkpoints and damage.
 
 Oracle: the uninterrupted run, to the last bit.
 """

@@ -1,8 +1,7 @@
-"""Monte Carlo at full scale: Sobol points, devices, processes.
+"""Monte Carlo at full scale: Sobol points. Devices and processes: `interfaces/test_processes.py`.
 
-Oracles: the uninterrupted run on one device in one process, to the last bit where the chunk is the same and to
-round-off (1e-12 relative, counts equal) where it is not; closed forms and SciPy for the Sobol points. The share
-of seeds whose interval holds the true value may miss 95 % by three standard errors of that share.
+Oracles: closed forms and SciPy. The share of seeds whose interval holds the true value may miss 95 % by three standard
+errors of that share.
 """
 
 import math

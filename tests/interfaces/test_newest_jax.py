@@ -19,7 +19,7 @@ BY_PUBLIC_NAMES = ("arguments", "arguments_elsewhere", "compiled_once", "loaded_
 
 def files_of_jax():
     """Test files that import `rvjax._jax`, and those that reach it through public names."""
-    files = [path for path in (ROOT / "tests").glob("test_*.py") if path != Path(__file__)]
+    files = [path for path in (ROOT / "tests").rglob("test_*.py") if path != Path(__file__)]
     named = {f"test_{name}" for name in BY_PUBLIC_NAMES}
     found = [path for path in files if path.stem in named or "rvjax._jax" in path.read_text("utf-8")]
     assert named < {path.stem for path in found}
