@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.elementary import sin_cos
-from rvjax._jax.kernels import BatchedKernel, along_lanes, folded, like, while_loop
+from rvjax._jax.kernels import BatchedKernel, along_lanes, folded, like, settle, while_loop
 from rvjax.cycloidal import ReducerErrors
 from rvjax.designs import CycloidStage, RVReducer
 from rvjax.errors import RVErrors
@@ -58,8 +58,8 @@ class Turn(NamedTuple):
 
 
 def turn(angle: jax.Array) -> Turn:
-    """Cosine and sine of `angle`, () rad."""
-    sine, cosine = sin_cos(angle)
+    """Cosine and sine of `angle`, rad, stored: XLA copies them into their consumers, a seventh of a program."""
+    sine, cosine = settle(jnp.stack(sin_cos(angle)))
     return Turn(cosine, sine)
 
 
@@ -87,18 +87,18 @@ def geometry(cycloid: CycloidStage, eccentricity: jax.Array, th: jax.Array) -> G
         th: () rad.
     """
     zc, zp, discs = cycloid.disc_teeth, cycloid.pin_count, cycloid.disc_count
-    crank = turn(-zp * th)
+    crank, carrier, middle = (Turn(*x) for x in zip(*turn(jnp.stack([-zp * th, th, zc * th / 2]))))
     places, pins = np.arange(discs) / discs, np.arange(zp) / zp
     eccentric = crank.plus(2 * np.pi * places)  # Eq. 2
-    pin = turn(-th).plus(2 * np.pi * pins)
+    pin = carrier.back.plus(2 * np.pi * pins)
     # psi / 2 = (2 pi j / zp + zc th - 2 pi k / nd) / 2: its sine keeps what is near a tooth space exact
-    half = turn(zc * th / 2).plus(np.pi * (pins[None] - places[:, None]))
+    half = middle.plus(np.pi * (pins[None] - places[:, None]))
     lobe = Turn(1 - 2 * half.sine * half.sine, 2 * half.sine * half.cosine)
     k1 = eccentricity * zp / cycloid.pin_circle_radius
     size = jnp.sqrt((1 - k1) ** 2 + 4 * k1 * half.sine * half.sine)  # Eq. 4
     laps = jnp.floor(jax.lax.stop_gradient(zc * th / (2 * np.pi)) + jnp.asarray(pins[None] - places[:, None], th.dtype))
     return Geometry(
-        carrier=turn(th),
+        carrier=carrier,
         crank=crank,
         eccentric=eccentric,
         pin=pin,
