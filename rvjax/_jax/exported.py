@@ -98,14 +98,26 @@ def _types(leaves: list[Scalar]) -> list[jax.core.ShapedArray]:
 def _of_leaves(
     program: jax.export.Exported, shape: object, options: dict[str, bool | int] | None
 ) -> Callable[[list[Scalar]], Any]:
-    """The program as a function of the leaves of its arguments; it has no weak types."""
+    """The program as a function of the leaves of its arguments; it has no weak types.
+
+    Where several devices share the units, most numbers are those of the call before: they stay on the devices. Copies
+    of 125 numbers a call took 17 of 101 s of an allocation. One device takes numbers of the host as quickly.
+    """
     call = jax.jit(program.call, compiler_options=options)
+    placed: dict[int, tuple[Scalar, Any]] = {}  # by place: the number, and its array
 
     def of(leaves: list[Scalar]) -> Any:
-        arrays = [
-            leaf if isinstance(leaf, jax.Array) else np.asarray(leaf, t.dtype)
-            for leaf, t in zip(leaves, program.in_avals)
-        ]
+        rows: Any = next((sharding for leaf in reversed(leaves) if (sharding := spread(leaf)) is not None), None)
+        split = None if rows is None else jax.sharding.NamedSharding(rows.mesh, jax.sharding.PartitionSpec())
+        arrays = list[Array]()
+        for k, (leaf, t) in enumerate(zip(leaves, program.in_avals)):
+            if isinstance(leaf, jax.Array):
+                arrays.append(leaf)
+                continue
+            if k not in placed or placed[k][0] is not leaf:
+                number = np.asarray(leaf, t.dtype)
+                placed[k] = leaf, number if split is None else jax.device_put(number, split)
+            arrays.append(placed[k][1])
         found = call(*arrays)
         return jax.tree.map(lambda number: found[number], shape)
 
