@@ -1,6 +1,7 @@
 """Curves by name over one variable, and the plots of results that are curves."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -63,7 +64,9 @@ def unit_curves(
     read_in: str | None = None,
     axes: Axes | None = None,
 ) -> Axes:
-    """A response of sample units over one cycle, before and after; angles about their own mean.
+    """A response over one cycle, before and after: the range of all units at each angle, and the curve of one of them.
+
+    That one has the median range of its side. Angles are about the mean of their own curve.
 
     Args:
         angle: rad (n,), uniform over the cycle.
@@ -74,19 +77,32 @@ def unit_curves(
         read_in: measurement unit of the plot; by default the usual one of responses in `unit`.
         axes: where to draw; a new figure by default.
     """
-    axes = new_axes(axes)
     shown, size = readable(unit, read_in)
     end = np.degrees(2 * angle[-1] - angle[-2])
-    closed = np.append(np.degrees(angle), end)
-    for curves, colour, dash, label in ((after, AFTER, "-", "after"), (before, BEFORE, (0, (4, 2)), "before")):
+    rows, bands, looks = (
+        dict[str, np.ndarray](),
+        dict[str, tuple[np.ndarray, np.ndarray]](),
+        dict[str, dict[str, Any]](),
+    )
+    for curves, colour, dash, label in ((before, BEFORE, (0, (4, 2)), "before"), (after, AFTER, "-", "after")):
         values = np.asarray(curves) / size
+        values = values[np.isfinite(values).all(axis=1)]  # not of a unit that failed
+        if not len(values):
+            continue
         values = values - values.mean(axis=1, keepdims=True) if unit == "rad" else values
-        drawn = axes.plot(closed, np.column_stack([values, values[:, :1]]).T, color=colour, ls=dash, lw=0.8, alpha=0.7)
-        drawn[0].set_label(f"{label} ({len(values)} units)")
-    axes.set(xlabel="angle (deg)", ylabel=f"{shown}", xlim=(0, end), title=title)
+        values = np.column_stack([values, values[:, :1]])
+        one, units = f"{label}, one unit", f"{label}, {len(values)} units"
+        rows[one] = values[np.argsort(np.ptp(values, axis=1))[len(values) // 2]]
+        bands[units] = values.min(axis=0), values.max(axis=0)
+        looks |= {one: {"color": colour, "ls": dash, "lw": 0.9}, units: {"color": colour}}
+    axes = lines(
+        np.append(np.degrees(angle), end), rows, band=bands, looks=looks, axes=axes,
+        xlabel="angle (deg)", ylabel=shown, title=title, legend={"loc": "upper right", "ncols": 2},
+    )  # fmt: skip
+    low, high = axes.get_ylim()
+    axes.set(xlim=(0, end), ylim=(low, high + 0.15 * (high - low)))  # with room for the legend
     if np.isclose(end, 360):
         axes.set_xticks(range(0, 361, 60))
-    axes.legend(loc="upper right", ncols=2)
     return axes
 
 

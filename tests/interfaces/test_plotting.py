@@ -19,11 +19,15 @@ def styled():
 
 
 def test_unit_curves_are_drawn_about_their_mean_and_closed():
+    """The unit of median range, and the range of all but a failed one at each angle."""
     angle = np.arange(8) * np.pi / 4
-    curves = 3 * arcmin + arcmin * np.sin(angle)[None] * np.array([[1.0], [2.0]])
+    curves = 3 * arcmin + arcmin * np.sin(angle)[None] * np.array([[1.0], [3.0], [2.0], [np.nan]])
     axes = plotting.unit_curves(angle, curves, 2 * curves, "title", "rad")
     after = axes.lines[1].get_ydata()
     np.testing.assert_allclose(after[:-1], 4 * np.sin(angle), atol=1e-12)
+    ends = [path.vertices[:, 1] for band in axes.collections for path in band.get_paths()]
+    np.testing.assert_allclose([[rows.min(), rows.max()] for rows in ends], [[-3, 3], [-6, 6]])
+    assert "before, 3 units" in {text.get_text() for text in axes.get_legend().get_texts()}
     assert after[0] == after[-1] and axes.get_xlim() == (0, 360) and axes.get_ylabel() == "arcmin"
 
 
