@@ -81,21 +81,20 @@ def test_the_unit_at_the_mid_points():
 
 @record
 class Listed(Record):
-    """A costly response that lists its outputs, without twelve numbers beside them."""
+    """A costly response that lists its outputs, with a curve of twelve numbers."""
 
     costly: ClassVar[bool] = True
     outputs: tuple[str, ...] = text("names of the values", default=("peak",))
 
     def __call__(self, errors):
-        return {"peak": errors["z"]} | {f"curve[{k}]": k * errors["x"][0] for k in range(12)}
+        return Outcome({"peak": errors["z"]}, jnp.int32(0), curve=jnp.arange(12.0) * errors["x"][0])
 
 
-def test_numbers_beside_the_outputs_are_read_by_name():
-    """In their order, of which that of their names differs."""
+def test_a_curve_stands_beside_the_outputs():
     z = np.random.default_rng(0).normal(size=(13, 5))
     part = Part(Listed(), population(1.0))
     assert part.names == ("peak",) and part.solve(population(3.0), z)[0].shape == (1, 5)
-    np.testing.assert_allclose(part.rows(population(3.0), z, "curve"), np.outer(z[0], np.arange(12)))
+    np.testing.assert_allclose(part.curves(population(3.0), z), np.outer(z[0], np.arange(12)))
 
 
 @jax.custom_jvp

@@ -242,22 +242,18 @@ def test_which_studies_have_a_budget(question, monkeypatch):
     assert found == ["rv-40e", "rv-40e-whole", None, "x", None]
 
 
-def test_the_page_of_a_loaded_study_has_the_budget_of_the_units_of_its_curve(monkeypatch):
+@pytest.mark.parametrize(("angles", "span", "title"), [
+    (24, "crank_turn", "9 deg of the output"), (961, "output_turn", "a turn of the output")
+])  # fmt: skip
+def test_the_page_of_a_loaded_study_has_the_budget_of_the_units_of_its_curve(angles, span, title, monkeypatch):
     """Of units that are made up: 768, or three for each of their numbers, and no unit under another load."""
-    monkeypatch.setattr(Part, "rows", lambda part, population, z, name: np.outer(z[0], np.sin(np.arange(24))))
-    made = budgets.budget_if_any(crank_turn("rv-40e-whole", 24))
-    assert made.linear and made.samples >= 768 and list(made.torque.values()) == [412.0]
-    assert made.title == "Transmission error of the loaded reducer over 9 deg of the output"
-
-
-def test_a_curve_of_too_many_angles_has_no_linear_budget():
-    """It is not among the numbers of the units: a turn of the output at 961 angles."""
+    monkeypatch.setattr(Part, "curves", lambda part, population, z: np.outer(z[0], np.sin(np.arange(angles))))
     whole = crank_turn("rv-40e-whole", 24)
-    conditions = dataclasses.replace(whole.conditions, span="output_turn", samples=961)
-    long = dataclasses.replace(whole, conditions=conditions)
-    assert budgets.curve_of(whole, None) == whole.curve and "9 deg of the output" in whole.curve.title
-    assert long.curve is not None and "a turn of the output" in budgets.curve_of(long, None).title
-    assert budgets.linear_budget(long, long.tolerances) is None
+    asked = dataclasses.replace(whole, conditions=dataclasses.replace(whole.conditions, span=span, samples=angles))
+    made = budgets.budget_if_any(asked)
+    assert made.linear and made.samples >= 768 and list(made.torque.values()) == [412.0]
+    assert made.title == f"Transmission error of the loaded reducer over {title}"
+    assert budgets.curve_of(asked, None) == asked.curve
 
 
 def test_only_values_of_a_curve_have_its_budget():

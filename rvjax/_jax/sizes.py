@@ -107,10 +107,10 @@ BLOCK = 4096
 """Default number of units at once: the same everywhere, so that a response is compiled for it once; temporaries of
 a response over many angles then fit the cache. A four-bar unit takes no longer than in blocks of 16,384."""
 AT_ONCE = 256
-"""Costly units of a sample, and units with plotted curves."""
-FEW = 64
-"""Units with plotted curves where they are no more: 24 take 0.36 in the place of 1.35 s. A program of 32 takes 0.19 s,
-but twice as long to compile."""
+"""Costly units of a sample."""
+PLOTTED = 64
+"""Units with plotted curves: 24 take 0.36 s, 1.35 s in a call of 256, a unit as long. A program of 32 takes 0.19 s, but
+twice as long to compile."""
 PULLED = 256
 """Units behind one gradient of a method."""
 CORNERS = 64

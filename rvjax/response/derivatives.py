@@ -18,6 +18,7 @@ from rvjax._jax.solved_state import Marked
 from rvjax.population import Population
 from rvjax.records import Record
 from rvjax.response.response import (
+    CURVE,
     NUMBERS,
     UNITS,
     Response,
@@ -35,7 +36,7 @@ Errors = Callable[[np.ndarray], jax.Array]  # of the indices of some units
 Solution = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
-def solve(response: Response, population: Population, count: int, errors: Errors, row: str = "") -> Solution:
+def solve(response: Response, population: Population, count: int, errors: Errors, curve: bool = False) -> Solution:
     """Solve some units, `SOLVED` in a call.
 
     Args:
@@ -43,21 +44,21 @@ def solve(response: Response, population: Population, count: int, errors: Errors
         population: gives the elements of each field; its tolerances have no effect.
         count: of the units.
         errors: (elements, n) of the active fields, of n of the units.
-        row: name of numbers row[0], row[1] ... that the response has and does not list, in the place of its outputs.
+        curve: the numbers of the curve of an `Outcome`, in the place of its outputs.
 
     Returns:
-        Values (k, n) by `response_names` or of the row, status (n,) and state (numbers, n), which their gradients need.
+        Values (k, n) by `response_names` or along the curve, status (n,) and state (numbers, n), which gradients need.
     """
     size, names = SOLVED.on(units_devices()[0].platform), response_names(response, population)
-    mesh, running, rows = mesh_of(size), [], []
+    mesh, running, rows = mesh_of(size), list[Any](), []
     place = np.arange(size).reshape(1 if mesh is None else mesh.size, -1)  # of each unit, one device after another
     unit = np.argsort(place.T.ravel())
     for first in range(0, count, size):
         given = jnp.where(first + unit < count, errors(np.minimum(first + unit, count - 1)), jnp.nan)
-        running.append(_solved(response, population, on(mesh, given), mesh=mesh))
-    for named, *others in running:
-        names = tuple(f"{row}[{k}]" for k in range(sum(key.startswith(f"{row}[") for key in named))) if row else names
-        found = np.stack([np.asarray(named[name], float) for name in names]), *map(np.asarray, others)
+        named, *others = _solved(response, population, on(mesh, given), mesh=mesh)
+        running.append(([named[name] for name in (CURVE,) * curve or names], *others))
+    for own, *others in running:
+        found = np.vstack([np.asarray(value, float).T for value in own]), *map(np.asarray, others)
         rows.append([each[..., place.T.ravel()] for each in found])
     values, status, state = (np.concatenate(parts, axis=-1)[..., :count] for parts in zip(*rows))
     return values, status, state

@@ -71,10 +71,10 @@ class Part:
         values, status, state = self._of(population, errors)
         return np.where(succeeded(np.asarray(status)), values, np.nan), status, state
 
-    def rows(self, population: Population, z: np.ndarray, name: str) -> np.ndarray:
-        """Numbers name[0], name[1] ... (n, numbers) among the values of units with random numbers z (numbers, n)."""
+    def curves(self, population: Population, z: np.ndarray) -> np.ndarray:
+        """Curves (n, numbers) of an `Outcome` that has one, of units with random numbers z (numbers, n)."""
         errors: Errors = lambda lanes: elements(population, z[:, lanes])  # noqa: E731
-        return solve(self.response, population, z.shape[1], errors, row=name)[0].T
+        return solve(self.response, population, z.shape[1], errors, curve=True)[0].T
 
     def one(self, population: Population, errors: np.ndarray) -> tuple[np.ndarray, int]:
         """Values (k,) and status of the unit with errors (elements,), by the program of all the others.
@@ -114,10 +114,10 @@ class Whole(Part):
         """The same, which needs no state."""
         return gradients(self.response, population, errors, cotangents)[2]
 
-    def one(self, population: Population, errors: np.ndarray) -> tuple[np.ndarray, int]:
-        """The same, by the program of the gradients."""
-        values, status, _ = gradients(self.response, population, errors[:, None], np.zeros((len(self.names), 1)))
-        return values[:, 0], int(status[0])
+    def _of(self, population: Population, errors: np.ndarray) -> Solution:
+        """The same, by the program of the gradients; the state has no rows."""
+        values, status, _ = gradients(self.response, population, errors, np.zeros((len(self.names), errors.shape[1])))
+        return values, status, np.zeros((0, errors.shape[1]))
 
 
 def parts(response: Response, population: Population, chunk: int = BLOCK) -> list[Part]:

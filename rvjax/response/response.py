@@ -24,6 +24,8 @@ from rvjax.status import Status, succeeded, worst
 
 PLAIN = ""
 """Name of the value of a response that returns one scalar."""
+CURVE = "curve"
+"""Name of the numbers of a curve among the values of a unit."""
 
 PROGRAMS = 32
 """Plain functions whose programs are kept, the latest ones."""
@@ -185,6 +187,7 @@ class Outcome(Record):
 
     value: PyTree = field("-", "scalar, or dict or record of scalars", kind="record")
     status: Array = field("-", "`Status` values, any shape (angles, discs)", kind="integer")
+    curve: Array | None = field("as the outputs", "numbers along a span that they read", shape=("n",), default=None)
 
 
 def evaluate(response: Response, errors: object) -> tuple[Values, jax.Array]:
@@ -195,8 +198,9 @@ def evaluate(response: Response, errors: object) -> tuple[Values, jax.Array]:
     """
     call: Callable[..., PyTree] = response
     result = call(*errors) if isinstance(errors, Given) else call(errors)
-    status = jnp.int32(int(Status.CONVERGED))
+    status, curve = jnp.int32(int(Status.CONVERGED)), None
     if isinstance(result, Outcome):
+        curve = result.curve
         status, result = worst(jnp.asarray(result.status)).astype(jnp.int32), result.value
     values = {}
     for name, value in _named(result).items():
@@ -206,6 +210,8 @@ def evaluate(response: Response, errors: object) -> tuple[Values, jax.Array]:
             raise ValueError(f"{shown}: must be one real number per unit, got shape {number.shape} {number.dtype}")
         values[name] = number.astype(jnp.result_type(float, number))
     lost = jnp.any(jnp.stack([jnp.isnan(number) for number in values.values()]))
+    if curve is not None:
+        values[CURVE] = curve
     return values, jnp.where(succeeded(status) & lost, jnp.int32(int(Status.NONFINITE)), status)
 
 

@@ -41,7 +41,6 @@ from rvjax.study.problem import (
 )
 from rvjax.study.reader import EMBEDDED, embedded_names, load, parse_study, template as study_template
 from rvjax.study.response import (
-    CURVE as CURVE,
     Response as Response,
     outcome_of as outcome_of,
     refuse as refuse,

@@ -27,11 +27,6 @@ from rvjax.tolerances import Outcome
 Settings = tuple[tuple[str, PyTree], ...]
 Level = tuple[Settings, str, str | None] | None  # settings, precision, output of another model
 
-CURVE = "curve"
-"""Of the names of its numbers among the values of a response."""
-LONGEST = 256
-"""Most of these numbers: each is an output of the program, and 961 of them take 9 s to compile."""
-
 
 @record
 class Response(Record):
@@ -102,8 +97,7 @@ class Response(Record):
             described = models.kind(self.design).curve(self.outputs)
             assert described is not None and described.source is not None
             source, take = described.source
-            row = take(shared[None][source])
-            values |= {f"{CURVE}[{k}]": row[k] for k in range(row.shape[0])}
+            return Outcome(values, worst(statuses), curve=take(shared[None][source]))
         return Outcome(values, worst(statuses))
 
     def among(self, population: Population) -> Self:
@@ -147,8 +141,7 @@ class Response(Record):
         """Outputs in groups that share no result, each as a separate response, one with the curve."""
         joints = [{(None, source) for source in joint.sources} for joint in self._joints()]
         few, shown = self._extremes(), models.kind(self.design).curve(self.outputs)
-        short = shown is not None and shown.angles is not None and len(shown.angles(self.conditions)) <= LONGEST
-        curve = shown.source if shown is not None and short and few is None else None
+        curve = shown.source if shown is not None and shown.angles is not None and few is None else None
         groups: list[tuple[set[object], list[str]]] = []
         for name in self.outputs:
             own = self.read(name) or {name}

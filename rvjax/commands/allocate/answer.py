@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from rvjax import tolerances
 from rvjax.base.files import versions
 from rvjax.base.progress import begin, progress_bar
 from rvjax.commands import forecast
-from rvjax.commands.allocate.full_model_check import Unlimited, Whole, unlimited, whole
+from rvjax.commands.allocate.full_model_check import Unlimited, Whole, unlimited, whole, whole_response
 from rvjax.commands.budget.effects import curves_of
 from rvjax.commands.forecast import CERTIFYING, PRICING, SAMPLING, SEARCHING, doubts_of_unit, shown_values, targets
 from rvjax.population import Population, root_key
@@ -31,7 +32,7 @@ from rvjax.response import (  # chunks of the certificate's size: the response c
     unit_at_mid_points,
 )
 from rvjax.status import Status
-from rvjax.study import CURVE, Study, refuse
+from rvjax.study import Study, refuse
 from rvjax.tolerances import (
     Allocation,
     Influence,
@@ -208,13 +209,16 @@ def _curves(study: Study, response: Response, population: Population) -> _Curves
     curve = study.curve
     if curve is None:
         return lambda tolerances, seed: (np.empty(0), np.empty((0, 0)))  # no model draws one
-    drawing = [part for part in parts(response, population) if getattr(part.response, "curve", ())]
-    if drawing and curve.angles is not None:
+    turn = whole_response(study) if study.chooses_angles else None
+    alike = turn is not None and turn.conditions is study.conditions
+    every = cast(Response, turn) if alike else response  # at all angles
+    drawing = [part for part in parts(every, population) if getattr(part.response, "curve", False)]
+    if drawing and curve.angles is not None:  # a program of the outputs computes them, too
         angle = np.asarray(curve.angles(study.conditions))
 
         def solved_units(tolerances: object, seed: int) -> tuple[np.ndarray, np.ndarray]:
             population = Population.of(tolerances)
-            return angle, drawing[0].rows(population, _shown(population, seed), CURVE)
+            return angle, drawing[0].curves(population, _shown(population, seed))
 
         return solved_units
 

@@ -17,6 +17,7 @@ from rvjax._jax.sizes import AT_ONCE
 from rvjax.commands.cells import limit_text, share
 from rvjax.errors import described
 from rvjax.population import Estimate, Population, wilson
+from rvjax.records import PyTree
 from rvjax.render import Cell, Interval, Number, Quantity, Table, Text, Titled
 from rvjax.response import parts
 from rvjax.study import Response, Study
@@ -153,6 +154,25 @@ def counterparts(study: Study) -> dict[str, str]:
     return found
 
 
+def whole_response(study: Study) -> Response | None:
+    """The outputs of the whole reducer or turn; None where there are none."""
+    outputs = counterparts(study)
+    names = tuple(dict.fromkeys(outputs.values()))
+    return Response.of(study.design, names, _conditions(study, outputs)) if outputs else None
+
+
+def _conditions(study: Study, outputs: Mapping[str, str]) -> PyTree:
+    """Conditions of these outputs of the whole reducer, or of a turn at no more than `TURN_ANGLES` angles."""
+    given = study.conditions
+    if any(name != output for name, output in outputs.items()):
+        rated = given.output_torque if given.rated_torque is None else given.rated_torque
+        return dataclasses.replace(given, rated_torque=rated, **ANGLES)
+    if study.spans[next(iter(outputs))] == models.WHOLE:  # at all angles
+        return given
+    turn = models.over_a_turn(study.design, given, next(iter(outputs)))
+    return dataclasses.replace(turn, samples=min(turn.samples, TURN_ANGLES))
+
+
 def whole(study: Study, tolerances: object) -> Whole | None:
     """Measure the units of some tolerances on the whole reducer or turn; None where nothing is measured there.
 
@@ -160,19 +180,10 @@ def whole(study: Study, tolerances: object) -> Whole | None:
         study: with requirements of the four-bar or lost-motion model, or over a part of a turn.
         tolerances: of the units.
     """
-    outputs = counterparts(study)
-    if not outputs:
+    response, outputs = whole_response(study), counterparts(study)
+    if response is None:
         return None
-    given, turned = study.conditions, all(name == output for name, output in outputs.items())
-    if turned and study.spans[next(iter(outputs))] == models.WHOLE:  # at all angles
-        conditions = given
-    elif turned:  # its outputs over a whole turn
-        conditions = models.over_a_turn(study.design, given, next(iter(outputs)))
-        conditions = dataclasses.replace(conditions, samples=min(conditions.samples, TURN_ANGLES))
-    else:
-        rated = given.output_torque if given.rated_torque is None else given.rated_torque
-        conditions = dataclasses.replace(given, rated_torque=rated, **ANGLES)
-    response = Response.of(study.design, tuple(dict.fromkeys(outputs.values())), conditions)
+    turned = all(name == output for name, output in outputs.items())
     found = monte_carlo(response, tolerances, samples=UNITS, seed=study.seed + SEED, chunk=UNITS, keep=True)
     values = {name: np.asarray(found.values[output]) for name, output in outputs.items()}
     margins = {name: np.asarray(study.requirements[name].margin(row)) for name, row in values.items()}
@@ -186,7 +197,7 @@ def whole(study: Study, tolerances: object) -> Whole | None:
         output=outputs,
         failed=int((~solved).sum()),
         unread=tuple(name for name in Population.of(tolerances).active if name in described(tolerances, "bounds")),
-        angles=conditions.samples if turned else 0,
+        angles=_conditions(study, outputs).samples if turned else 0,
         beyond=_beyond(study, margins) if turned else {},
     )
 

@@ -29,7 +29,7 @@ from rvjax.commands.budget.effects import FEWEST, MOST, by_level, curves_of, of_
 from rvjax.outputs import Curve, torque_condition, torque_of
 from rvjax.population import Population, drawn, root_key
 from rvjax.response import BLOCK, elements, numbers_of, parts
-from rvjax.study import CURVE, Study, naming
+from rvjax.study import Study, naming
 from rvjax.tolerances import Influence, influences
 
 UNLOADED = 1e-3  # of the torque: the limit of no load, as on a test bench
@@ -292,7 +292,7 @@ def linear_budget(study: Study, tolerances: object) -> Budget | None:
     numbers = sum(int(np.prod(t.shape)) for t in population.active.values())
     samples = max(FEWEST_REGRESSED, PER_ELEMENT * numbers)
     z = np.asarray(drawn(population, root_key(study.seed), jnp.uint32(0), count=samples))
-    waves = waves_of(drawing[0].rows(population, z, CURVE))
+    waves = waves_of(drawing[0].curves(population, z))
     good = np.isfinite(waves).all(axis=1)
     if good.sum() <= numbers + 1:
         return None

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rvjax._jax.programs import QUICK
-from rvjax._jax.sizes import AT_ONCE, FEW, calls
+from rvjax._jax.sizes import AT_ONCE, PLOTTED, calls
 from rvjax.base.words import choose
 from rvjax.errors import STAGES, described
 from rvjax.outputs import Curve, Output, torque_condition
@@ -60,9 +60,8 @@ def curves_of(
         torque: other than that of the conditions, N m.
     """
     unit, count, found = _unit(curve, design, conditions, torque), z.shape[1], list[np.ndarray]()
-    size = FEW if count <= FEW else AT_ONCE
-    mesh = mesh_of(size)
-    for lanes in calls(count, size):
+    mesh = mesh_of(PLOTTED)
+    for lanes in calls(count, PLOTTED):
         angles, values = _curves(unit, population, on(mesh, jnp.asarray(z[:, lanes])), mesh=mesh)
         found.append(np.asarray(values))
     return np.asarray(angles)[0], np.concatenate(found)[:count]
