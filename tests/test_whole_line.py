@@ -9,9 +9,10 @@ import pytest
 from crank_turn import crank_turn
 
 from rvjax import models
-from rvjax.commands.allocate import full_model_check
+from rvjax.commands.allocate import answer, full_model_check
 from rvjax.commands.allocate.full_model_check import unlimited_tables, unlimited_texts, whole_text
-from rvjax.population import wilson
+from rvjax.population import Population, wilson
+from rvjax.response import Part
 from rvjax.study import load, parse_study
 from rvjax.tolerances import monte_carlo
 
@@ -230,3 +231,21 @@ def test_a_lower_limit_moves_up_and_a_limit_that_is_met_stays(monkeypatch):
     assert found.beyond["fit_clearance"] == pytest.approx(2.326e-6, rel=0.2)  # 99 % are above -2.33 um
     beyond = found.beyond["fit_clearance"] * 1e6
     assert f"99 % >= -{beyond:.4g} um (with a limit >= {beyond:.4g} um over 20 deg" in whole_text(found, asked)
+
+
+def test_plotted_curves_come_from_the_outputs_at_all_angles(monkeypatch):
+    """Not where these follow another span than the study."""
+    asked = []
+
+    def curves(part, population, z):
+        asked.append(part.response.conditions.samples)
+        return np.zeros((z.shape[1], 481))
+
+    monkeypatch.setattr(Part, "curves", curves)
+    monkeypatch.setattr(answer, "curves_of", lambda *_: asked.append("alone"))
+    turn = load("rv-40e-whole", solve=False)
+    part = dataclasses.replace(turn, conditions=dataclasses.replace(turn.conditions, span="crank_turn", samples=24))
+    for study in (turn, part):
+        few = study.response(solve=False).replace(expected=0.0)  # a unit chooses its angles
+        answer._curves(study, few, Population.of(study.tolerances))(study.tolerances, 0)
+    assert turn.chooses_angles and part.chooses_angles and asked == [481, "alone"]

@@ -82,9 +82,6 @@ def _traced() -> bool:
 ONCE: Options = (*QUICK, ("xla_backend_optimization_level", 0))
 """For a program of one case, which takes its time to start kernels: 0.47 instead of 0.45 ms for an equilibrium, and is
 compiled in half the time."""
-FEW_CALLS: Options = (*QUICK, ("xla_backend_optimization_level", 1))
-"""Slopes of 32 units at 481 angles compile in 9 to 12 s and run in 1.7 to 2.4 s; with `ONCE` 6 and 5 s, with `QUICK` 14
-and 1.7 s."""
 
 
 def quick(*static: int, options: Options = QUICK) -> Callable[[Callable[P, R]], Callable[P, R]]:

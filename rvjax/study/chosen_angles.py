@@ -22,7 +22,7 @@ import numpy as np
 
 from rvjax import models
 from rvjax._jax.kernels import in_blocks
-from rvjax._jax.programs import FEW_CALLS
+from rvjax._jax.programs import ONCE
 from rvjax.population import Population, drawn, root_key
 from rvjax.records import Array, PyTree, Record, field, record, text
 from rvjax.response import elements, per_response
@@ -189,7 +189,7 @@ def _places(solved: int, curves: int, read: Collection[int]) -> Places:
     return (*((0, sign, first) for sign in (1, -1) if first), *((k, 1, share) for k, share in shares.items()))
 
 
-@per_response(options=FEW_CALLS)
+@per_response(options=ONCE)
 def _slopes(response: Response, population: Population, errors: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Curves (units, n, c) at all angles of the span and their slopes to the errors (elements, units)."""
     few = models.kind(response.design).extremes(response.outputs)

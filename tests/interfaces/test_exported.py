@@ -263,6 +263,34 @@ def test_numbers_of_several_fields_arrive_each_in_its_place(folder):
     np.testing.assert_allclose(found, 7.0 * (2.0 + 3.0 * x + 5.0 * x**2) + long.sum(), rtol=1e-14)
 
 
+SHARED = """
+import sys
+from pathlib import Path
+import jax, numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from rvjax._jax import programs
+from test_exported import Power, another_process
+programs._folder[:] = [Path(sys.argv[1])]
+mesh = Mesh(np.array(jax.devices()), ("units",))
+x = jax.device_put(np.arange(4.0), NamedSharding(mesh, PartitionSpec("units")))
+process = another_process()
+for size in (3.0, 3.0, 5.0, 3.0):
+    print(*process(Power(size, 2), x, names=("a",))[0]["a"])
+"""
+
+
+@pytest.mark.parametrize("devices", [1, 2])
+def test_numbers_that_change_between_calls_arrive(folder, devices):
+    """They stay on the devices while they are the same."""
+    run = [sys.executable, "-c", SHARED, str(folder)]
+    own = os.environ | {"PYTHONPATH": str(Path(__file__).parent), "JAX_NUM_CPU_DEVICES": str(devices)}
+    done = subprocess.run(run, capture_output=True, text=True, timeout=120, env=own, cwd=Path(__file__).parents[2])
+    assert done.returncode == 0, done.stderr
+    rows = [[float(x) for x in line.split()] for line in done.stdout.splitlines()]
+    assert rows == [[size * x**2 for x in range(4)] for size in (3, 3, 5, 3)]
+    assert len(list(folder.iterdir())) == 1
+
+
 def test_a_number_and_an_array_of_one_number_share_a_program(folder):
     """Records that were read from a file hold arrays."""
     x, found = jnp.linspace(0.0, 2.0, 5), []
