@@ -42,8 +42,8 @@ BENCHES = ("backlash", "bench_lost_motion", "torsional_stiffness")  # programs o
 
 @newton_alone()
 def ask(outputs):
-    """Outputs of the reducer in a study, and their status."""
-    return Response.of(DESIGN, outputs, GIVEN)(ERRORS)
+    """Outputs of the reducer in a study, their status and their curve."""
+    return Response.of(DESIGN, outputs, GIVEN).replace(curve="loaded_transmission_error" in outputs)(ERRORS)
 
 
 def alone(angles, torque):
@@ -78,6 +78,7 @@ def test_every_output_is_what_its_equilibria_show(thorough):
         "bench_lost_motion": (twist[-0.03] - twist[0.03]).max(),
         "torsional_stiffness": (0.5 * RATED / (twist[0.5] - twist[1.0])).min(),
     }
+    np.testing.assert_allclose(found.curve, first.error, rtol=1e-9)
     for name in due.keys() & values.keys():
         assert values[name] == pytest.approx(due[name], rel=1e-9), name
     loose = {"unloaded_transmission_error": np.ptp(light.error), "backlash": (twist[-1e-3] - twist[1e-3]).max()}

@@ -101,7 +101,8 @@ def _of_leaves(
     """The program as a function of the leaves of its arguments; it has no weak types.
 
     Where several devices share the units, most numbers are those of the call before: they stay on the devices. Copies
-    of 125 numbers a call took 17 of 101 s of an allocation. One device takes numbers of the host as quickly.
+    of 125 numbers a call took 17 of 101 s of an allocation. One device takes numbers of the host as quickly. An array
+    that may be written to is copied in each call.
     """
     call = jax.jit(program.call, compiler_options=options)
     placed: dict[int, tuple[Scalar, Any]] = {}  # by place: the number, and its array
@@ -114,7 +115,8 @@ def _of_leaves(
             if isinstance(leaf, jax.Array):
                 arrays.append(leaf)
                 continue
-            if k not in placed or placed[k][0] is not leaf:
+            changes = isinstance(leaf, np.ndarray) and leaf.flags.writeable
+            if changes or k not in placed or placed[k][0] is not leaf:
                 number = np.asarray(leaf, t.dtype)
                 placed[k] = leaf, number if split is None else jax.device_put(number, split)
             arrays.append(placed[k][1])

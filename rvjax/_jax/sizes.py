@@ -109,8 +109,8 @@ a response over many angles then fit the cache. A four-bar unit takes no longer 
 AT_ONCE = 256
 """Costly units of a sample."""
 PLOTTED = 64
-"""Units with plotted curves: 24 take 0.36 s, 1.35 s in a call of 256, a unit as long. A program of 32 takes 0.19 s, but
-twice as long to compile."""
+"""Units with plotted curves: 24 take 0.36 s, and 1.35 s in a call of 256. A program of 32 takes 0.19 s, but compiles in
+twice the time."""
 PULLED = 256
 """Units behind one gradient of a method."""
 CORNERS = 64

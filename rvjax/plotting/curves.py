@@ -86,12 +86,11 @@ def unit_curves(
     )
     for curves, colour, dash, label in ((before, BEFORE, (0, (4, 2)), "before"), (after, AFTER, "-", "after")):
         values = np.asarray(curves) / size
-        values = values[np.isfinite(values).all(axis=1)]  # not of a unit that failed
-        if not len(values):
-            continue
+        solved = values[np.isfinite(values).all(axis=1)]
+        values = solved if len(solved) else values[:1]  # a gap, where every unit failed
         values = values - values.mean(axis=1, keepdims=True) if unit == "rad" else values
         values = np.column_stack([values, values[:, :1]])
-        one, units = f"{label}, one unit", f"{label}, {len(values)} units"
+        one, units = f"{label}, one unit", f"{label}, {len(solved)} units"
         rows[one] = values[np.argsort(np.ptp(values, axis=1))[len(values) // 2]]
         bands[units] = values.min(axis=0), values.max(axis=0)
         looks |= {one: {"color": colour, "ls": dash, "lw": 0.9}, units: {"color": colour}}

@@ -137,6 +137,8 @@ def learned(response: Response, population: Population) -> Expected:
     share = good / np.maximum(good.sum(axis=0), 1)
     middle = np.einsum("unc,unc->cn", share, np.where(good, at_zero, 0))
     slopes = np.einsum("unc,unce->cne", share, np.where(good[..., None], slopes, 0))
+    middle.setflags(write=False)
+    slopes.setflags(write=False)  # they stay on the devices between calls
     read = {k for name in response.outputs if (k := few.outputs.get(name)) is not None}
     places = _places(few.solved(response.conditions) or 0, at_zero.shape[2], read)
     fields = tuple((name, tolerance.shape) for name, tolerance in population.active.items())

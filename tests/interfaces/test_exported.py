@@ -272,23 +272,26 @@ from rvjax._jax import programs
 from test_exported import Power, another_process
 programs._folder[:] = [Path(sys.argv[1])]
 mesh = Mesh(np.array(jax.devices()), ("units",))
-x = jax.device_put(np.arange(4.0), NamedSharding(mesh, PartitionSpec("units")))
-process = another_process()
+x = jax.device_put(np.arange(4.0)[:, None], NamedSharding(mesh, PartitionSpec("units")))
+process, written = another_process(), np.full(3, 3.0)
 for size in (3.0, 3.0, 5.0, 3.0):
-    print(*process(Power(size, 2), x, names=("a",))[0]["a"])
+    print(*process(Power(size, 2), x, names=("a",))[0]["a"][:, 0])
+for size in (3.0, 5.0):
+    written[:] = size
+    print(*process(Power(written, 2), x, names=("a",))[0]["a"][:, 0])
 """
 
 
 @pytest.mark.parametrize("devices", [1, 2])
 def test_numbers_that_change_between_calls_arrive(folder, devices):
-    """They stay on the devices while they are the same."""
+    """They stay on the devices while they are the same; an array that is written to in place does not."""
     run = [sys.executable, "-c", SHARED, str(folder)]
     own = os.environ | {"PYTHONPATH": str(Path(__file__).parent), "JAX_NUM_CPU_DEVICES": str(devices)}
     done = subprocess.run(run, capture_output=True, text=True, timeout=120, env=own, cwd=Path(__file__).parents[2])
     assert done.returncode == 0, done.stderr
     rows = [[float(x) for x in line.split()] for line in done.stdout.splitlines()]
-    assert rows == [[size * x**2 for x in range(4)] for size in (3, 3, 5, 3)]
-    assert len(list(folder.iterdir())) == 1
+    assert rows == [[size * x**2 for x in range(4)] for size in (3, 3, 5, 3, 3, 5)]
+    assert len(list(folder.iterdir())) == 2  # for a number and for an array
 
 
 def test_a_number_and_an_array_of_one_number_share_a_program(folder):

@@ -29,6 +29,8 @@ def test_unit_curves_are_drawn_about_their_mean_and_closed():
     np.testing.assert_allclose([[rows.min(), rows.max()] for rows in ends], [[-3, 3], [-6, 6]])
     assert "before, 3 units" in {text.get_text() for text in axes.get_legend().get_texts()}
     assert after[0] == after[-1] and axes.get_xlim() == (0, 360) and axes.get_ylabel() == "arcmin"
+    axes = plotting.unit_curves(angle, curves[3:], curves[3:], "all fail", "rad")
+    assert {text.get_text() for text in axes.get_legend().get_texts()} >= {"before, 0 units", "after, 0 units"}
 
 
 def test_histogram_marks_both_limits_in_readable_units():
