@@ -129,8 +129,8 @@ def test_units_that_fail_teach_nothing(monkeypatch):
     values, slopes = rng.normal(size=(8, ANGLES, 2)), rng.normal(size=(8, ANGLES, 2, population.numbers))
     values[3], slopes[5, :, 1, 0] = np.nan, np.nan
     values[:, 7] = np.nan
-    monkeypatch.setattr(responses, "_slopes", lambda *_: (values, slopes))
-    monkeypatch.setattr(responses, "UNITS", 8)
+    monkeypatch.setattr(responses, "_slopes", lambda *_, **__: (values, slopes))
+    monkeypatch.setattr(responses, "AVERAGED", 8)
     found = learned(own.response(solve=False), population)
     some = np.array([0, 1, 2, 4, 6, 7])
     np.testing.assert_allclose(found.slopes[1, 0], slopes[some, 0, 1].mean(axis=0), rtol=1e-12)
@@ -142,11 +142,20 @@ def test_units_that_fail_teach_nothing(monkeypatch):
     values[7] = np.nan
     factors = learned(own.response(solve=False), population).factors
     values, slopes = values[:7], slopes[:7]
-    monkeypatch.setattr(responses, "UNITS", 7)
+    monkeypatch.setattr(responses, "AVERAGED", 7)
     np.testing.assert_allclose(factors, learned(own.response(solve=False), population).factors, rtol=1e-12)
     assert np.all(np.asarray(factors) > 1)
     values[2, 3] = np.nan  # one place of one unit
     assert np.all(np.asarray(learned(own.response(solve=False), population).factors) > 1)
+
+
+def test_the_curves_of_a_unit_that_fails_have_no_value(drive):
+    own, _, population, errors, curves = drive
+    sixteen = np.tile(errors, 2)  # the program of `learned`
+    sixteen[:, 3] = np.nan
+    values, _ = responses._slopes(own.response(solve=False), population, sixteen)
+    assert np.isnan(values[3]).all()
+    np.testing.assert_allclose(values[8:], curves, rtol=1e-9, atol=1e-15)
 
 
 def test_units_of_every_command_choose_their_angles(monkeypatch):

@@ -22,13 +22,14 @@ from rvjax.catalogue import part_class
 from rvjax.designs import RVReducer
 from rvjax.errors import Errors, RVErrors
 from rvjax.loaded.bench import SHARES, Reading, reading
-from rvjax.loaded.case import SUPPORTS
+from rvjax.loaded.case import SUPPORTS, Read
 from rvjax.loaded.equilibrium import admit, check_input, equilibrium, error_alone, kind_of
 from rvjax.loaded.laws import CONTACTS
-from rvjax.loaded.revolution import Instants, Revolution, instants, revolution, summary
+from rvjax.loaded.revolution import Revolution, instant, instants, revolution, summary
 from rvjax.loaded.system import Layout
 from rvjax.outputs import Observation, Spectrum, condition
 from rvjax.records import Array, Design, PyTree, Scalar
+from rvjax.status import succeeded
 
 R = TypeVar("R")
 
@@ -126,15 +127,17 @@ def turn(design: RVReducer, errors: RVErrors, given: LoadedConditions, angles: j
     """
     if angles is None:
         return _along(design, errors, given, given.output_torque)
-    return summary(_at(design, errors, given, angles), spaced=False)
+    layout, read = _admitted(design, errors, given)
+    each = jnp.asarray(angles, read.torque.dtype)
+    torques, none = jnp.broadcast_to(read.torque, each.shape), np.zeros(len(each), int)
+    return summary(instants(layout, read, torques, each, none), spaced=False)
 
 
-def _at(design: RVReducer, errors: RVErrors, given: LoadedConditions, angles: jax.Array) -> Instants:
+def _admitted(design: RVReducer, errors: RVErrors, given: LoadedConditions) -> tuple[Layout, Read]:
+    """Under the output torque."""
     design = errors.stiffened(design)
     layout = check_input(design, errors, *ways(given).values())
-    read = admit(layout, design, errors, given.output_torque, 0.0)
-    each = jnp.asarray(angles, read.torque.dtype)
-    return instants(layout, read, jnp.broadcast_to(read.torque, each.shape), each, np.zeros(len(each), int))
+    return layout, admit(layout, design, errors, given.output_torque, 0.0)
 
 
 def input_angles(design: RVReducer, given: LoadedConditions) -> np.ndarray:
@@ -143,7 +146,7 @@ def input_angles(design: RVReducer, given: LoadedConditions) -> np.ndarray:
 
 
 def decisive(design: RVReducer, errors: RVErrors, given: LoadedConditions, angle: jax.Array) -> jax.Array:
-    """Error and largest pressures (c,) at an input angle, the curves whose extremes are limited.
+    """Error and largest pressures (c,) at an input angle, the curves whose extremes are limited; NaN where it failed.
 
     Args:
         design: the reducer.
@@ -151,9 +154,11 @@ def decisive(design: RVReducer, errors: RVErrors, given: LoadedConditions, angle
         given: conditions.
         angle: () rad.
     """
-    at = _at(design, errors, given, angle[None])
-    pressures = (at.loads[name] for name in ("largest_pressure", "largest_output_pressure"))
-    return jnp.stack([at.error[0], *(pressure[0] for pressure in pressures if pressure is not None)])
+    layout, read = _admitted(design, errors, given)
+    error, loads, info = instant(layout, read, jnp.asarray(angle, read.torque.dtype))
+    pressures = (loads[name] for name in ("largest_pressure", "largest_output_pressure"))
+    curves = jnp.stack([error, *(pressure for pressure in pressures if pressure is not None)])
+    return jnp.where(succeeded(info.status), curves, jnp.nan)
 
 
 def solved_angles(given: LoadedConditions) -> int | None:
