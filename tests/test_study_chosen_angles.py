@@ -196,7 +196,7 @@ def test_the_check_at_all_angles_has_those_of_the_study(monkeypatch):
     monkeypatch.setattr(full_model_check, "monte_carlo", stop)
     for own in (asked(), asked(span="crank_turn", samples=12, chosen_angles=6)):
         with pytest.raises(InterruptedError):
-            full_model_check.whole(own, own.tolerances)
+            full_model_check.check_units(own, own.tolerances)
     assert [response.conditions.samples for response in checked] == [ANGLES, 217]
     assert all(response.expected is None and response.conditions.span == "output_turn" for response in checked)
 

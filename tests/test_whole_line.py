@@ -56,7 +56,7 @@ def test_the_line_names_what_was_measured_and_what_was_not(study, monkeypatch):
     """Units are those of a Monte Carlo run with the same seed, the interval of their share is that of Wilson."""
     made = faked(1.0)
     monkeypatch.setattr(full_model_check, "Response", made)
-    found = full_model_check.whole(study, study.tolerances)
+    found = full_model_check.check_units(study, study.tolerances)[0]
     assert found.output == {"transmission_error": "loaded_transmission_error", "misfit": "misfit"}
     assert found.unread == ("disc_runout",) and found.units == full_model_check.UNITS and found.failed == 0
     seed, units = study.seed + full_model_check.SEED, found.units
@@ -79,7 +79,7 @@ def test_a_unit_without_a_value_meets_no_limit(study, monkeypatch):
 
     response.costly = True
     monkeypatch.setattr(full_model_check, "Response", SimpleNamespace(of=lambda *_: response))
-    found = full_model_check.whole(study, study.tolerances)
+    found = full_model_check.check_units(study, study.tolerances)[0]
     assert 200 < found.failed < 312 and found.share.value == 1 - found.failed / found.units
     assert set(found.within.values()) == {found.share.value} and "failed" in whole_text(found, study)
 
@@ -105,16 +105,13 @@ def loaded_study(*changes):
 def test_what_a_loaded_study_does_not_limit_is_what_its_design_and_conditions_can_give():
     start = "[requirement.misfit]"
     pressure = (start, '[requirement.turn_pin_pressure]\nupper = "3000 MPa"\n' + start)
-    assert set(full_model_check.not_limited(loaded_study()).outputs) == {"turn_pin_pressure", "arm_bearing_force"}
-    assert full_model_check.not_limited(loaded_study(pressure)).outputs == ("arm_bearing_force",)
+    assert set(full_model_check.not_limited(loaded_study())) == {"turn_pin_pressure", "arm_bearing_force"}
+    assert [*full_model_check.not_limited(loaded_study(pressure))] == ["arm_bearing_force"]
     with_duty = loaded_study((start, DUTY + start))
-    assert set(full_model_check.not_limited(with_duty).outputs) == {"turn_pin_pressure", "arm_bearing_force", "life"}
+    assert set(full_model_check.not_limited(with_duty)) == {"turn_pin_pressure", "arm_bearing_force", "life"}
     bare = with_duty.design.replace(bearings=None)
-    assert full_model_check.not_limited(dataclasses.replace(with_duty, design=bare)).outputs == ("turn_pin_pressure",)
-    assert (
-        full_model_check.not_limited(study_of("rv-40e-whole")) is None
-        and full_model_check.not_limited(study_of("rv-40e")) is None
-    )
+    assert [*full_model_check.not_limited(dataclasses.replace(with_duty, design=bare))] == ["turn_pin_pressure"]
+    assert not any(full_model_check.not_limited(study_of(name)) for name in ("rv-40e-whole", "rv-40e"))
 
 
 def study_of(name):
@@ -134,14 +131,27 @@ def test_usual_limits_are_those_of_the_embedded_study():
 def test_units_beyond_a_usual_limit_are_said(monkeypatch):
     """Pressure 2650 MPa and 100 MPa of standard deviation: 93.32 % within 2800 MPa, 99 % within 2883 MPa."""
 
-    def response(errors):
-        unit = errors.crank_eccentricity[0, 0] / (10e-6 / 3)
-        return {"turn_pin_pressure": (2650 + 100 * unit) * 1e6}
+    seen, force = [], 0.1  # of a bearing, N
 
-    response.costly, response.outputs = True, ("turn_pin_pressure",)
-    asked = loaded_study(("[conditions]", "[run]\nseed = 1\n[conditions]"))
-    monkeypatch.setattr(full_model_check, "Response", SimpleNamespace(of=lambda design, names, conditions: response))
-    (found,) = full_model_check.unlimited(asked, asked.tolerances).values()
+    def of(design, names, conditions):
+        seen.append((names, conditions.span))
+
+        def response(errors):
+            unit = errors.crank_eccentricity[0, 0] / (10e-6 / 3)
+            told = {"turn_pin_pressure": (2650 + 100 * unit) * 1e6, "arm_bearing_force": force + 0 * unit}
+            given = told | {"loaded_transmission_error": 0 * unit, "life": jnp.where(unit > 0, jnp.nan, 1e9)}
+            return {name: given[name] for name in names}
+
+        response.costly = True
+        return response
+
+    asked = loaded_study(("[conditions]", "[run]\nseed = 1\n" + DUTY + "[conditions]"))
+    monkeypatch.setattr(full_model_check, "Response", SimpleNamespace(of=of))
+    whole, found = full_model_check.check_units(asked, asked.tolerances)
+    along = ("loaded_transmission_error", "turn_pin_pressure", "arm_bearing_force")
+    assert seen == [(along, "output_turn"), (("life",), "crank_turn")]  # a life is no reading of this turn
+    assert whole.failed == 0 and found["arm_bearing_force"].nominal == force and 200 < found["life"].failed < 312
+    found = found["turn_pin_pressure"]
     assert found.nominal == pytest.approx(2650e6) and found.units == full_model_check.UNITS and found.failed == 0
     assert found.reached.lower < 2882.6e6 < found.reached.upper
     assert found.share.lower < 0.93319 < found.share.upper and found.missed
@@ -191,15 +201,17 @@ def test_limits_along_a_crank_turn_are_measured_over_a_turn_of_the_output(monkey
                 "loaded_transmission_error": 1e-9 * unit,
                 "turn_pin_pressure": pressure * 1e6,
                 "pin_force": pressure,
+                "arm_bearing_force": 0 * unit,
             }
 
         response.costly = True
         return response
 
     monkeypatch.setattr(full_model_check, "Response", SimpleNamespace(of=of))
-    found = full_model_check.whole(asked, asked.tolerances)
+    found = full_model_check.check_units(asked, asked.tolerances)[0]
     ((names, conditions),) = seen
-    assert names == ("loaded_transmission_error", "turn_pin_pressure", "pin_force")  # no misfit: it has no span
+    along = ("loaded_transmission_error", "turn_pin_pressure", "pin_force")  # no misfit: it has no span
+    assert names == (*along, "arm_bearing_force")  # which is not limited
     assert (conditions.span, conditions.samples) == ("output_turn", 481)  # at most; as dense as given: 48 * 40 + 1
     assert conditions.output_torque == asked.conditions.output_torque
     assert set(found.beyond) == {"turn_pin_pressure"} and found.within["loaded_transmission_error"] == 1
@@ -226,7 +238,7 @@ def test_a_lower_limit_moves_up_and_a_limit_that_is_met_stays(monkeypatch):
 
     response.costly = True
     monkeypatch.setattr(full_model_check, "Response", SimpleNamespace(of=lambda *_: response))
-    found = full_model_check.whole(asked, asked.tolerances)
+    found = full_model_check.check_units(asked, asked.tolerances)[0]
     assert set(found.beyond) == {"fit_clearance"} and found.angles == 12 * 18 + 1
     assert found.beyond["fit_clearance"] == pytest.approx(2.326e-6, rel=0.2)  # 99 % are above -2.33 um
     beyond = found.beyond["fit_clearance"] * 1e6

@@ -16,7 +16,7 @@ from rvjax import tolerances
 from rvjax.base.files import versions
 from rvjax.base.progress import begin, progress_bar
 from rvjax.commands import forecast
-from rvjax.commands.allocate.full_model_check import Unlimited, Whole, unlimited, whole, whole_response
+from rvjax.commands.allocate.full_model_check import Unlimited, Whole, check_units, whole_response
 from rvjax.commands.budget.effects import curves_of
 from rvjax.commands.forecast import CERTIFYING, PRICING, SAMPLING, SEARCHING, doubts_of_unit, shown_values, targets
 from rvjax.population import Population, root_key
@@ -167,6 +167,7 @@ def answer(
     own = _side(study, response, study.tolerances, before, curves, {})
     cheapest = _side(study, response, allocation.tolerances, certificate, curves, found)
     begin(PRICING)
+    whole, unlimited = check_units(study, allocation.tolerances) if measure else (None, {})
     return Answer(
         study,
         allocation,
@@ -174,8 +175,8 @@ def answer(
         own,
         cheapest,
         cost_curve=_cost_curve(study, allocation),
-        whole=whole(study, allocation.tolerances) if measure else None,
-        unlimited=unlimited(study, allocation.tolerances) if measure else {},
+        whole=whole,
+        unlimited=unlimited,
     )
 
 

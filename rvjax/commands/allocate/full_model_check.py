@@ -21,7 +21,7 @@ from rvjax.records import PyTree
 from rvjax.render import Cell, Interval, Number, Quantity, Table, Text, Titled
 from rvjax.response import parts
 from rvjax.study import Response, Study
-from rvjax.tolerances import Requirement, monte_carlo
+from rvjax.tolerances import Requirement, Statistics, monte_carlo
 
 UNITS = 2 * AT_ONCE
 CONFIDENCE = 0.95
@@ -71,47 +71,12 @@ class Unlimited:
         return Requirement(lower=self.lower, upper=self.upper, target=SHARE)
 
 
-def not_limited(study: Study) -> Response | None:
-    """Outputs with a usual limit that a loaded study does not limit, as far as its design and conditions allow them."""
+def not_limited(study: Study) -> dict[str, Requirement]:
+    """Usual limits of outputs that a loaded study does not limit, as far as its design and conditions allow them."""
     usual = models.kind(study.design).usual if study.costly else {}
     names = [name for name in usual if name not in study.requirements and study.allows(name)]
-    names = [name for name in names if usual[name].limits(study.design)]
-    return Response.of(study.design, names, study.conditions) if names else None
-
-
-def unlimited(study: Study, tolerances: object) -> dict[str, Unlimited]:
-    """Measure the outputs that a loaded study does not limit, on units with some tolerances.
-
-    Args:
-        study: with the design and the conditions.
-        tolerances: of the units.
-    """
-    response, population = not_limited(study), Population.of(tolerances)
-    if response is None:
-        return {}
-    usual = {name: models.kind(study.design).usual[name] for name in response.outputs}
-    ends = {name: limit.limits(study.design) or (-math.inf, math.inf) for name, limit in usual.items()}
-    limits = {name: Requirement(lower=low, upper=high, target=SHARE) for name, (low, high) in ends.items()}
-    seed, quantiles = study.seed + SEED, (1 - SHARE, SHARE)
-    found = monte_carlo(
-        response, tolerances, samples=UNITS, seed=seed, chunk=UNITS, requirements=limits, quantiles=quantiles
-    )
-    nominal, count = dict[str, float](), sum(math.prod(tolerance.shape) for tolerance in population.active.values())
-    for part in parts(response, population):
-        nominal |= dict(zip(part.names, part.of_elements(population, np.zeros((count, 1)))[0][:, 0].tolist()))
-    return {
-        name: Unlimited(
-            nominal=nominal[name],
-            reached=found.quantiles[SHARE if math.isfinite(limit.upper) else 1 - SHARE][name],
-            lower=limit.lower,
-            upper=limit.upper,
-            share=found.yield_[name],
-            meaning=usual[name].meaning,
-            units=found.samples,
-            failed=found.failed,
-        )
-        for name, limit in limits.items()
-    }
+    ends = {name: limits for name in names if (limits := usual[name].limits(study.design))}
+    return {name: Requirement(lower=low, upper=high, target=SHARE) for name, (low, high) in ends.items()}
 
 
 @dataclass(frozen=True)
@@ -155,10 +120,17 @@ def counterparts(study: Study) -> dict[str, str]:
 
 
 def whole_response(study: Study) -> Response | None:
-    """The outputs of the whole reducer or turn; None where there are none."""
+    """Outputs of the whole reducer or turn, also those of a turn that are not limited; None where there are none."""
     outputs = counterparts(study)
-    names = tuple(dict.fromkeys(outputs.values()))
+    names = tuple(dict.fromkeys((*outputs.values(), *_joined(study, outputs))))
     return Response.of(study.design, names, _conditions(study, outputs)) if outputs else None
+
+
+def _joined(study: Study, outputs: Mapping[str, str]) -> list[str]:
+    """What is not limited and is read off the equilibria of the turn that are solved for other outputs."""
+    few = models.kind(study.design).extremes(outputs) if study.costly else None
+    along = set() if few is None else set(few.outputs)
+    return [name for name in not_limited(study) if name in along] if along & set(outputs) else []
 
 
 def _conditions(study: Study, outputs: Mapping[str, str]) -> PyTree:
@@ -173,18 +145,60 @@ def _conditions(study: Study, outputs: Mapping[str, str]) -> PyTree:
     return dataclasses.replace(turn, samples=min(turn.samples, TURN_ANGLES))
 
 
-def whole(study: Study, tolerances: object) -> Whole | None:
-    """Measure the units of some tolerances on the whole reducer or turn; None where nothing is measured there.
+def check_units(study: Study, tolerances: object) -> tuple[Whole | None, dict[str, Unlimited]]:
+    """Measure units of some tolerances on the whole reducer or turn, and what a loaded study does not limit.
 
     Args:
-        study: with requirements of the four-bar or lost-motion model, or over a part of a turn.
+        study: with the design and the conditions.
         tolerances: of the units.
     """
-    response, outputs = whole_response(study), counterparts(study)
-    if response is None:
-        return None
+    outputs, usual, turn = counterparts(study), not_limited(study), whole_response(study)
+    joined = {name: usual.pop(name) for name in _joined(study, outputs)}
+    whole, unlimited = None, dict[str, Unlimited]()
+    if turn is not None:
+        found = _measured(study, tolerances, turn, joined)
+        whole, unlimited = _whole(study, tolerances, outputs, found), _unlimited(study, tolerances, turn, joined, found)
+    if usual:
+        alone = Response.of(study.design, tuple(usual), study.conditions)
+        found = _measured(study, tolerances, alone, usual)
+        unlimited |= _unlimited(study, tolerances, alone, usual, found)
+    return whole, unlimited
+
+
+def _measured(study: Study, tolerances: object, response: Response, limits: Mapping[str, Requirement]) -> Statistics:
+    return monte_carlo(
+        response, tolerances, samples=UNITS, seed=study.seed + SEED, chunk=UNITS, keep=True,
+        requirements=limits or None, quantiles=(1 - SHARE, SHARE),
+    )  # fmt: skip
+
+
+def _unlimited(
+    study: Study, tolerances: object, response: Response, limits: Mapping[str, Requirement], found: Statistics
+) -> dict[str, Unlimited]:
+    """Of the outputs with these usual limits: value without errors and statistics."""
+    population = Population.of(tolerances)
+    zero = np.zeros((sum(math.prod(tolerance.shape) for tolerance in population.active.values()), 1))
+    own = [part for part in parts(response, population) if set(part.names) & set(limits)]
+    nominal = {k: float(v) for p in own for k, v in zip(p.names, p.of_elements(population, zero)[0][:, 0])}
+    return {
+        name: Unlimited(
+            nominal=nominal[name],
+            reached=found.quantiles[SHARE if math.isfinite(limit.upper) else 1 - SHARE][name],
+            lower=limit.lower,
+            upper=limit.upper,
+            share=found.yield_[name],
+            meaning=models.kind(study.design).usual[name].meaning,
+            units=found.samples,
+            failed=found.failed,
+        )
+        for name, limit in limits.items()
+    }
+
+
+def _whole(study: Study, tolerances: object, outputs: Mapping[str, str], found: Statistics) -> Whole:
+    """Of the outputs by requirement: units within the limits."""
     turned = all(name == output for name, output in outputs.items())
-    found = monte_carlo(response, tolerances, samples=UNITS, seed=study.seed + SEED, chunk=UNITS, keep=True)
+    assert found.values is not None
     values = {name: np.asarray(found.values[output]) for name, output in outputs.items()}
     margins = {name: np.asarray(study.requirements[name].margin(row)) for name, row in values.items()}
     solved = np.all([np.isfinite(row) for row in values.values()], axis=0)
