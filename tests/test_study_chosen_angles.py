@@ -129,8 +129,8 @@ def test_units_that_fail_teach_nothing(monkeypatch):
     values, slopes = rng.normal(size=(8, ANGLES, 2)), rng.normal(size=(8, ANGLES, 2, population.numbers))
     values[3], slopes[5, :, 1, 0] = np.nan, np.nan
     values[:, 7] = np.nan
-    monkeypatch.setattr(responses, "_slopes", lambda *_, **__: (values, slopes))
-    monkeypatch.setattr(responses, "AVERAGED", 8)
+    monkeypatch.setattr(responses, "_slopes", lambda *_: (values, slopes))
+    monkeypatch.setattr(responses, "UNITS", 8)
     found = learned(own.response(solve=False), population)
     some = np.array([0, 1, 2, 4, 6, 7])
     np.testing.assert_allclose(found.slopes[1, 0], slopes[some, 0, 1].mean(axis=0), rtol=1e-12)
@@ -142,7 +142,7 @@ def test_units_that_fail_teach_nothing(monkeypatch):
     values[7] = np.nan
     factors = learned(own.response(solve=False), population).factors
     values, slopes = values[:7], slopes[:7]
-    monkeypatch.setattr(responses, "AVERAGED", 7)
+    monkeypatch.setattr(responses, "UNITS", 7)
     np.testing.assert_allclose(factors, learned(own.response(solve=False), population).factors, rtol=1e-12)
     assert np.all(np.asarray(factors) > 1)
     values[2, 3] = np.nan  # one place of one unit
