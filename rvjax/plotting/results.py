@@ -64,7 +64,7 @@ def histogram(
         if finite.size:  # every unit may have failed
             weights = np.full(len(finite), 1 / (len(values) * bins.step))
             outline: Any = dict(zip(("color", "ls", "lw"), _OUTLINES[(k - 1) % 3]), histtype="step")
-            drawn: Any = outline if k else {"color": AFTER, "alpha": 0.75, "histtype": "stepfilled"}
+            drawn: Any = outline if k else {"color": AFTER, "alpha": 0.75}
             axes.hist(finite, bins.edges, weights=weights, label=text, **drawn)
     limit_lines(axes, limits, shown, size)
     axes.set(xlabel=f"{words(name)} ({shown}){bins.beyond}", ylabel=f"density (1/{bins.per})")
