@@ -22,14 +22,13 @@ from rvjax.catalogue import part_class
 from rvjax.designs import RVReducer
 from rvjax.errors import Errors, RVErrors
 from rvjax.loaded.bench import SHARES, Reading, reading
-from rvjax.loaded.case import SUPPORTS, Read
+from rvjax.loaded.case import SUPPORTS
 from rvjax.loaded.equilibrium import admit, check_input, equilibrium, error_alone, kind_of
 from rvjax.loaded.laws import CONTACTS
-from rvjax.loaded.revolution import Revolution, instant, instants, revolution, summary
+from rvjax.loaded.revolution import Revolution, instants, revolution, summary
 from rvjax.loaded.system import Layout
 from rvjax.outputs import Observation, Spectrum, condition
 from rvjax.records import Array, Design, PyTree, Scalar
-from rvjax.status import succeeded
 
 R = TypeVar("R")
 
@@ -127,17 +126,12 @@ def turn(design: RVReducer, errors: RVErrors, given: LoadedConditions, angles: j
     """
     if angles is None:
         return _along(design, errors, given, given.output_torque)
-    layout, read = _admitted(design, errors, given)
+    design = errors.stiffened(design)
+    layout = check_input(design, errors, *ways(given).values())
+    read = admit(layout, design, errors, given.output_torque, 0.0)
     each = jnp.asarray(angles, read.torque.dtype)
     torques, none = jnp.broadcast_to(read.torque, each.shape), np.zeros(len(each), int)
     return summary(instants(layout, read, torques, each, none), spaced=False)
-
-
-def _admitted(design: RVReducer, errors: RVErrors, given: LoadedConditions) -> tuple[Layout, Read]:
-    """Under the output torque."""
-    design = errors.stiffened(design)
-    layout = check_input(design, errors, *ways(given).values())
-    return layout, admit(layout, design, errors, given.output_torque, 0.0)
 
 
 def input_angles(design: RVReducer, given: LoadedConditions) -> np.ndarray:
@@ -154,11 +148,11 @@ def decisive(design: RVReducer, errors: RVErrors, given: LoadedConditions, angle
         given: conditions.
         angle: () rad.
     """
-    layout, read = _admitted(design, errors, given)
-    error, loads, info = instant(layout, read, jnp.asarray(angle, read.torque.dtype))
-    pressures = (loads[name] for name in ("largest_pressure", "largest_output_pressure"))
-    curves = jnp.stack([error, *(pressure for pressure in pressures if pressure is not None)])
-    return jnp.where(succeeded(info.status), curves, jnp.nan)
+    found = equilibrium(
+        errors.stiffened(design), errors, input_angle=angle, output_torque=given.output_torque, **ways(given)
+    )
+    pressures = (each for each in (found.pressure, found.output_pressure) if each is not None)
+    return jnp.stack([found.error, *map(jnp.max, pressures)])
 
 
 def solved_angles(given: LoadedConditions) -> int | None:

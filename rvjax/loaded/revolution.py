@@ -56,7 +56,10 @@ def instants(
         before: (n,) instants that the start of each follows from: none, the last, or the line through
             the last two.
     """
-    from_start = partial(_from_start, layout, read)
+
+    def from_start(start: jax.Array, torque: jax.Array, angle: jax.Array) -> tuple[Minimum, SolveInfo]:
+        case = prepare(layout, read, jax.lax.stop_gradient(angle)).loaded(torque)
+        return solve(layout, read, jax.lax.stop_gradient(case), start)
 
     def onward(known: Pair, at: tuple[jax.Array, ...]) -> tuple[Pair, tuple[Minimum, SolveInfo]]:
         (last, earlier), (torque, angle, number) = known, at  # NaN where there is none
@@ -73,27 +76,6 @@ def instants(
     measure = jax.checkpoint(partial(_measure, layout), static_argnums=())
     error, loads, arm, support = jax.lax.map(lambda x: measure(read, *x), (torques, input_angles, minima, info.status))
     return Instants(error, loads, arm, support, info)
-
-
-def instant(layout: Layout, read: Read, angle: jax.Array) -> tuple[jax.Array, Loads, SolveInfo]:
-    """Error, loads and info of one equilibrium, without a start and without a loop over instants.
-
-    Args:
-        layout: counts and methods.
-        read: finite and possible numbers; its angle is not read.
-        angle: of the sun, () rad.
-    """
-    none = jnp.full((layout.unknowns,), jnp.nan, read.torque.dtype)
-    minimum, info = _from_start(layout, read, none, read.torque, angle)
-    error, loads, *_ = _measure(layout, read, read.torque, angle, minimum, info.status)
-    return error, loads, info
-
-
-def _from_start(
-    layout: Layout, read: Read, start: jax.Array, torque: jax.Array, angle: jax.Array
-) -> tuple[Minimum, SolveInfo]:
-    case = prepare(layout, read, jax.lax.stop_gradient(angle)).loaded(torque)
-    return solve(layout, read, jax.lax.stop_gradient(case), start)
 
 
 def _measure(
