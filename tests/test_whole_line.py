@@ -157,9 +157,12 @@ def test_units_beyond_a_usual_limit_are_said(monkeypatch):
     assert found.share.lower < 0.93319 < found.share.upper and found.missed
     seen = {"turn_pin_pressure": found}
     (line,) = unlimited_texts(seen, asked)
-    beyond = f"{100 * (1 - found.share.value):.3g} % of the units miss a usual limit, <= 2800 MPa"
+    beyond = (
+        f"{100 * (1 - found.share.value):.3g} % of the units miss a usual limit over a turn of the output, <= 2800 MPa"
+    )
     assert line.startswith(f"Not limited: turn_pin_pressure. {beyond} (static safety 2")
     (table,) = unlimited_tables(seen, asked)
+    assert table.note == "turn_pin_pressure: over a turn of the output"
     (row,) = table.texts()[1]
     assert row[0] == "turn_pin_pressure" and row[1] == "2650 MPa" and row[3] == "<= 2800 MPa"
     kept = dataclasses.replace(found, share=wilson(512, 512, 0.95))

@@ -34,6 +34,7 @@ its transmission error are lost; with 961, in twice the time, 0.3 and 0.5 %."""
 
 SHARE = 0.99
 """Of the units: what is not limited is listed at this share."""
+TURNED = " over a turn of the output"
 
 
 @dataclass(frozen=True)
@@ -273,9 +274,10 @@ def unlimited_texts(found: Mapping[str, Unlimited], study: Study) -> list[str]:
         found: what was measured.
         study: that does not limit it.
     """
+    along = _joined(study, counterparts(study))
     return [
-        f"Not limited: {name}. {100 * (1 - one.share.value):.3g} % of the units miss a usual limit, "
-        f"{limit_text(one.limit, study.output(name))} ({one.meaning})."
+        f"Not limited: {name}. {100 * (1 - one.share.value):.3g} % of the units miss a usual limit"
+        f"{TURNED if name in along else ''}, {limit_text(one.limit, study.output(name))} ({one.meaning})."
         for name, one in found.items()
         if one.missed
     ]
@@ -298,4 +300,5 @@ def unlimited_tables(found: Mapping[str, Unlimited], study: Study) -> list[Table
     units = f"{100 * SHARE:g} % of the units"
     columns = [Text("not limited"), Number("without errors"), Interval(f"{units} [interval]", file_title=units)]
     columns += [Text("usual limit"), Interval("within it [interval]", file_title="within it"), Text("why", wraps=True)]
-    return [Table("not_limited", columns, rows)] if rows else []
+    along = ", ".join(name for name in _joined(study, counterparts(study)) if name in found)
+    return [Table("not_limited", columns, rows, note=f"{along}:{TURNED}" if along else "")] if rows else []
