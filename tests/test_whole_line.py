@@ -114,6 +114,15 @@ def test_what_a_loaded_study_does_not_limit_is_what_its_design_and_conditions_ca
     assert not any(full_model_check.not_limited(study_of(name)) for name in ("rv-40e-whole", "rv-40e"))
 
 
+def test_a_clearance_over_a_turn_takes_no_equilibria_along():
+    asked = loaded_study(
+        ("[requirement.misfit]", "[requirement.flank_clearance]"), ('upper = "30 um"', 'lower = "0 um"')
+    )
+    (error, clearance), pressures = asked.requirements, ["turn_pin_pressure", "arm_bearing_force"]
+    assert full_model_check._joined(asked, {error: error}) == pressures
+    assert full_model_check._joined(asked, {clearance: clearance}) == []
+
+
 def study_of(name):
     return load(name, solve=False)
 
@@ -151,6 +160,8 @@ def test_units_beyond_a_usual_limit_are_said(monkeypatch):
     along = ("loaded_transmission_error", "turn_pin_pressure", "arm_bearing_force")
     assert seen == [(along, "output_turn"), (("life",), "crank_turn")]  # a life is no reading of this turn
     assert whole.failed == 0 and found["arm_bearing_force"].nominal == force and 200 < found["life"].failed < 312
+    (line,) = unlimited_texts({"life": found["life"]}, asked)
+    assert "miss a usual limit, >= 6000 h" in line  # not of a turn
     found = found["turn_pin_pressure"]
     assert found.nominal == pytest.approx(2650e6) and found.units == full_model_check.UNITS and found.failed == 0
     assert found.reached.lower < 2882.6e6 < found.reached.upper
