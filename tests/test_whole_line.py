@@ -173,7 +173,7 @@ def test_units_beyond_a_usual_limit_are_said(monkeypatch):
     )
     assert line.startswith(f"Not limited: turn_pin_pressure. {beyond} (static safety 2")
     (table,) = unlimited_tables(seen, asked)
-    assert table.note == "turn_pin_pressure: over a turn of the output"
+    assert table.note == "turn_pin_pressure, arm_bearing_force: over a turn of the output"
     (row,) = table.texts()[1]
     assert row[0] == "turn_pin_pressure" and row[1] == "2650 MPa" and row[3] == "<= 2800 MPa"
     kept = dataclasses.replace(found, share=wilson(512, 512, 0.95))

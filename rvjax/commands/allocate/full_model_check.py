@@ -274,7 +274,7 @@ def unlimited_texts(found: Mapping[str, Unlimited], study: Study) -> list[str]:
         found: what was measured.
         study: that does not limit it.
     """
-    along = _joined(study, counterparts(study))
+    along = _joined(study, counterparts(study)) if found else []
     return [
         f"Not limited: {name}. {100 * (1 - one.share.value):.3g} % of the units miss a usual limit"
         f"{TURNED if name in along else ''}, {limit_text(one.limit, study.output(name))} ({one.meaning})."
@@ -300,5 +300,7 @@ def unlimited_tables(found: Mapping[str, Unlimited], study: Study) -> list[Table
     units = f"{100 * SHARE:g} % of the units"
     columns = [Text("not limited"), Number("without errors"), Interval(f"{units} [interval]", file_title=units)]
     columns += [Text("usual limit"), Interval("within it [interval]", file_title="within it"), Text("why", wraps=True)]
-    along = ", ".join(name for name in _joined(study, counterparts(study)) if name in found)
-    return [Table("not_limited", columns, rows, note=f"{along}:{TURNED}" if along else "")] if rows else []
+    if not rows:
+        return []
+    along = ", ".join(_joined(study, counterparts(study)))
+    return [Table("not_limited", columns, rows, note=f"{along}:{TURNED}" if along else "")]
